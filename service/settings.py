@@ -19,6 +19,7 @@ from pydantic_settings import (
 
 from service.allow_list import AllowList
 
+_STATION_PATTERN: Final = r"^[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?$"
 _OF_CLIENTS: Final = frozenset({"LUMILINE_URL", "LUMILINE_KEY"})
 
 
@@ -81,14 +82,31 @@ class Settings(BaseSettings):
     """A device profile to start as a device: the name of a built-in one, or the path of a file."""
     compute_device: str | None = None
     """Where the live pipeline computes: ``cpu``, ``cuda:0``, ...; None: the compute's choice."""
-    station: Literal["process", "thread"] = Field(default_factory=default_station)
+    station: Literal["process", "thread", "none"] = Field(default_factory=default_station)
     """Where devices, their frames and beam holds are: in a process of their own, which nothing
-    that clients ask for holds up, or in threads of the server."""
+    that clients ask for holds up, or in threads of the server; none: only at stations on other
+    machines, for which there has to be a ``bus_url``."""
     station_priority: int | None = Field(default=None, ge=1, le=99)
     """Priority of real time of that process, above all that have none; None: as all others. It
     needs the right to it."""
     station_cores: tuple[Annotated[int, Field(ge=0)], ...] = ()
     """Numbers of the cores that process may use; none: all."""
+    station_name: str | None = Field(default=None, pattern=_STATION_PATTERN)
+    """What `lumiline station` is called: devices that name it are its own."""
+    bus_url: str | None = None
+    """The NATS server, or several with commas between, by which servers reach the stations of other
+    machines: ``nats://host:4222``, or ``tls://...``; None: there are none."""
+    bus_nkey_seed: Path | None = None
+    """File with the seed of the NKey by which NATS knows this program."""
+    bus_credentials: Path | None = None
+    """File with a JWT and its seed (``.creds``), in place of an NKey."""
+    bus_token_file: Path | None = None
+    """File with a token, in place of an NKey."""
+    bus_ca: Path | None = None
+    """File with the certificate of who signed that of NATS; with it nothing goes without TLS."""
+    bus_delay_s: float = Field(default=0.01, ge=0.0, le=1.0, allow_inf_nan=False)
+    """How long a station keeps a frame for others to go with it over the bus [s]; poses and beam
+    holds wait for nothing."""
     stream_kept_messages: int = Field(default=10_000, ge=1)
     """Messages of each device that are kept for stream clients which are behind or come back."""
     stream_lag_s: float = Field(default=1.0, ge=0.0, allow_inf_nan=False)
@@ -181,6 +199,15 @@ class Settings(BaseSettings):
             )
         return station
 
+    @field_validator("bus_url")
+    @classmethod
+    def _brokers(cls, urls: str | None) -> str | None:
+        for url in (urls or "nats://none").split(","):
+            parts = urlsplit(url.strip())
+            if parts.scheme not in ("nats", "tls") or not parts.hostname:
+                raise ValueError("must be such as nats://broker:4222 or tls://broker:4222")
+        return urls
+
     @field_validator("trusted_proxies", "openigtlink_allow", "ndi_allow")
     @classmethod
     def _addresses(cls, addresses: tuple[str, ...]) -> tuple[str, ...]:
@@ -210,6 +237,13 @@ class Settings(BaseSettings):
     def _complete(self) -> "Settings":
         if self.oidc_issuer is not None and not self.oidc_audience:
             raise ValueError("oidc_issuer needs oidc_audience: tokens for others are not ours")
+        if self.station == "none" and self.bus_url is None:
+            raise ValueError("station none needs a bus_url: all devices are at stations then")
+        ways = (self.bus_nkey_seed, self.bus_credentials, self.bus_token_file)
+        if sum(way is not None for way in ways) > 1:
+            raise ValueError("give one of bus_nkey_seed, bus_credentials and bus_token_file")
+        if self.bus_url is None and (self.bus_ca, *ways) != (None,) * 4:
+            raise ValueError("settings of the bus need a bus_url")
         _check_reach("openigtlink", self.openigtlink_host, self.openigtlink_allow)
         _check_reach("ndi", self.ndi_host, self.ndi_allow)
         return self

@@ -81,6 +81,7 @@ _TAGS: Final = {
     "keys": "Who may do what, and who did what.",
     "webhooks": "Where events of holds, devices and drift are sent.",
     "server": "Health, and what problem types mean.",
+    "stations": "Processes that devices belong to, on this machine and on others.",
 }
 
 

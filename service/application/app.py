@@ -36,6 +36,7 @@ from service.api.reports.router import router as reports
 from service.api.runs.router import router as runs_router
 from service.api.security.router import principal_router as principal
 from service.api.security.router import router as keys
+from service.api.stations.router import router as stations
 from service.api.tools.frames_router import router as frames
 from service.api.tools.points_router import router as points
 from service.api.tools.registrations_router import router as registrations
@@ -197,6 +198,7 @@ def _routes() -> tuple[BaseRoute, ...]:
         audit,
         log_records,
         server_settings,
+        stations,
         backups,
         metrics,
         quality,

@@ -87,6 +87,18 @@ async def running(
         app.state.database = database
         app.state.authenticator = Authenticator(database, settings)
         manager = _live_manager(settings, starter) if live is None else live
+        far = None
+        if live is None and settings.bus_url is not None:
+            # Only here: without a bus its libraries are not loaded.
+            from service.application.far_stations import StoredDevices, bus_options
+            from service.station.network.pipeline_router import PipelineRouter
+
+            stored_devices = StoredDevices(database)
+            hub = manager.streams
+            assert isinstance(hub, Hub)
+            manager = far = PipelineRouter(
+                manager, hub, bus_options(settings), stored_devices.reader
+            )
         at_the_end(manager.close)
         app.state.live = manager
         app.state.streams = manager.streams
@@ -96,7 +108,11 @@ async def running(
             manager,
             settings.folders,
             StoredContent(active_calibration, active_radiometric, tracking_config_of),
+            own="" if settings.station == "none" else None,
+            stations=far,
         )
+        if far is not None:
+            stored_devices.service = app.state.device_service
         app.state.wave_captures = WaveCaptureManager(database, manager)
         at_the_end(app.state.wave_captures.close)
         recordings = RecordingManager(

@@ -18,6 +18,8 @@ _COMMANDS: Final = (
     ("openapi", "serve:openapi", "Print the OpenAPI document."),
     ("demo", "demo:demo",
      "Show the main job end to end: a real service, measured frames, a simulated device."),
+    ("station", "station:station",
+     "Own the devices of one machine, for servers on others: needs NATS and PostgreSQL."),
     ("examples", "examples:examples",
      "Write small files to try the commands with: a waved wand, a volume, cameras, a profile."),
     ("reproduce", "reproduce:reproduce",

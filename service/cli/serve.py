@@ -160,5 +160,5 @@ def _complaint(item: ErrorDetails) -> str:
     name = ".".join(str(part) for part in item["loc"])
     if item["type"] == "extra_forbidden":
         return f"setting {name}: there is no such setting; there are {', '.join(_SETTINGS)}"
-    input_text = "" if item["loc"][0] == "database_url" else f", got {item['input']!r}"
+    input_text = "" if item["loc"][0] in ("database_url", "bus_url") else f", got {item['input']!r}"
     return f"setting {name}: {item['msg']}{input_text}"

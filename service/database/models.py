@@ -82,6 +82,8 @@ class DeviceRow(Base):
     source: Mapped[dict[str, Any]] = mapped_column(JSON)
     sensors: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
     autostart: Mapped[bool]
+    station: Mapped[str | None] = mapped_column(String(63))
+    """The station that it belongs to; None: the server itself."""
     tracking: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     """How its markers are tracked; None: by default."""
     created_at: Mapped[datetime] = mapped_column(UtcDateTime)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,16 +26,27 @@ def any_device(_: DeviceDescription) -> None:
     """Accept every device."""
 
 
+StationStanding = Literal["running", "limited", "starting", "lost"]
+
+
 @dataclass(frozen=True)
 class StationState:
-    """The process that devices belong to, where it is not this one.
+    """A process that devices belong to, where it is not this one.
 
     Args:
         process_id: of the operating system.
         restarts: how often it was lost and started again.
-        messages_missed: messages of the bus that were overwritten before they were read.
+        messages_missed: messages of its bus that were lost before they were read.
         memory_bytes: its resident memory.
         cpu_s: computing time that it has used.
+        name: of a station on another machine; None: of this server itself.
+        state: running; limited: something of it does not work; starting again; or lost: it does
+            not answer.
+        reason: why it is not simply running.
+        since_ns: since when it is in this state [ns since 1970].
+        round_trip_s: a question to it and its answer [s]; None: it is not asked, or lost.
+        host: its machine; None: this one, or not known.
+        devices: how many of its devices it has told of.
     """
 
     process_id: int
@@ -43,6 +54,13 @@ class StationState:
     messages_missed: int
     memory_bytes: int
     cpu_s: float
+    name: str | None = None
+    state: StationStanding = "running"
+    reason: str | None = None
+    since_ns: int = 0
+    round_trip_s: float | None = None
+    host: str | None = None
+    devices: int = 0
 
 
 class RunningDevice(Protocol):
@@ -188,8 +206,8 @@ class Pipeline(Protocol):
         ...
 
     @property
-    def station(self) -> StationState | None:
-        """The process that devices belong to; None: this one."""
+    def stations(self) -> tuple[StationState, ...]:
+        """The processes that devices belong to; those of this one itself are in none."""
         ...
 
     def start_device(
@@ -265,4 +283,24 @@ class Pipeline(Protocol):
 
     def close(self) -> None:
         """Stop all devices."""
+        ...
+
+
+class RemoteStations(Protocol):
+    """Stations on other machines, to which devices belong; all methods may wait."""
+
+    def assign(self, device_id: str, station: str | None) -> None:
+        """Note which station a device is of; None: this server itself."""
+        ...
+
+    def reaches(self, station: str | None) -> bool:
+        """Whether a station answers now; None: this server itself."""
+        ...
+
+    def start_at_station(self, device_id: str) -> None:
+        """Have a device's station start it as the database says; raises what that raises."""
+        ...
+
+    def sensors_at_station(self, station: str, device_id: str, source: Any) -> list[dict[str, Any]]:
+        """Return the sensors that a source, as plain values, has at a station's machine."""
         ...

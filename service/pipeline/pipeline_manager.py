@@ -27,7 +27,7 @@ from service.pipeline.device_session import (
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.interface import Accept, DeviceUser, any_device
+from service.pipeline.interface import Accept, DeviceUser, StationState, any_device
 from service.pipeline.stage_latency import Stage
 from service.pipeline.tap_collection import collect_readings, not_running
 from service.pipeline.threads import ComputeThread, FrameRing, ReaderThread
@@ -91,9 +91,9 @@ class PipelineManager:
         return self._compute.busy_s
 
     @property
-    def station(self) -> None:
+    def stations(self) -> tuple[StationState, ...]:
         """None: devices belong to this process."""
-        return None
+        return ()
 
     def start_device(
         self,

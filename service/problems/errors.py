@@ -431,6 +431,18 @@ class NotReady(ServiceError, status=503):
     """A part that requests need (database, live pipeline) does not answer."""
 
 
+class StationNotReached(NotReady, status=503):
+    """The station that the device belongs to does not answer; what was stored, it takes later."""
+
+
+class StationFailed(ServiceError, status=502):
+    """The station that the device belongs to failed at it; its log has the cause."""
+
+
+class UnknownStation(ServiceError, status=422):
+    """A device of a station needs a server with a bus, and a name that can be a station's."""
+
+
 class DatabaseFull(NotReady, status=507):
     """The disk of the database is full: nothing was stored, and trying again does not help."""
 

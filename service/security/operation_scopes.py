@@ -31,6 +31,7 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "stream": "read:stream",
     "get-principal": "read:stream",
     "list-devices": "read:stream",
+    "list-stations": "read:stream",
     "get-device": "read:stream",
     "get-device-state": "read:stream",
     "get-device-scans": "read:stream",

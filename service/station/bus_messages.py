@@ -46,6 +46,9 @@ class MessageKind(IntEnum):
     FIGURES = 4
     END = 5
     POSES = 6
+    RENEWAL = 7
+    PRESENCE = 8
+    PREPARED = 9
 
 
 class HoldTokens(Protocol):
@@ -362,6 +365,24 @@ class BatchMessage:
         )
 
 
+def without_pixels(data: bytes, header: Sequence[Any], end: int) -> bytes:
+    """Return the message of a batch without its frames' pixels.
+
+    Args:
+        data: the message.
+        header: what ``split_message`` has returned of it.
+        end: where that ends.
+    """
+    *others, details, pixel_bytes = header
+    if not pixel_bytes:
+        return data
+    behind = end + details
+    begin = -(-behind // _ALIGNMENT) * _ALIGNMENT
+    packed = _message(MessageKind.BATCH, (*others, details, 0)) + data[end:behind]
+    arrays = memoryview(data)[begin : len(data) - pixel_bytes]
+    return b"".join((packed, bytes(-len(packed) % _ALIGNMENT), arrays))
+
+
 @lru_cache(maxsize=4)
 def _read_batch(message: BatchMessage) -> FrameBatch:
     """Read a batch once for all who want the newest."""
@@ -468,6 +489,41 @@ def calibration_message(tap: int, version: int, bad_pixels: Sequence[LiveBadPixe
 def read_bad_pixels(data: bytes) -> tuple[LiveBadPixel, ...]:
     """Return the bad pixels of a calibration's message."""
     return _BAD_PIXELS.validate_json(data)
+
+
+def renewal_message(device_id: str, rows: Sequence[Any]) -> bytes:
+    """Return how the beam holds of a device stand, with their deadlines: nothing has changed.
+
+    Args:
+        device_id: the device.
+        rows: of ``hold_row``.
+    """
+    return _message(MessageKind.RENEWAL, (device_id, list(rows)))
+
+
+def presence_message(packed: bytes) -> bytes:
+    """Return what a station says of itself, for other machines."""
+    return _message(MessageKind.PRESENCE, (packed,))
+
+
+def prepared_message(
+    device_id: str,
+    gateway: str,
+    tap: int,
+    stored: tuple[str | None, str | None, str | None],
+    bad_pixels: Sequence[LiveBadPixel],
+) -> bytes:
+    """Return what batches are processed with from now on, for a tap at another machine.
+
+    Args:
+        device_id: the device.
+        gateway: which one.
+        tap: its number there.
+        stored: ids of calibration, correction table and radiometric calibration.
+        bad_pixels: that are masked beside.
+    """
+    masked = _BAD_PIXELS.dump_json(tuple(bad_pixels))
+    return _message(MessageKind.PREPARED, (device_id, gateway, tap, *stored, masked))
 
 
 def end_message(device_id: str) -> bytes:

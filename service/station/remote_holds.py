@@ -43,6 +43,8 @@ class RemoteHolds:
         self._lapsed: set[str] = set()
         """Holds whose deadline passed here: clients may have been told that they hold."""
         self._listeners: list[Listener] = []
+        self.silence: str | None = None
+        """Why nothing can come from the station now; None: there is no reason."""
         self.changed = Condition()
         """Its lock is that of the states; notified when there is another deadline to watch."""
 
@@ -170,6 +172,8 @@ class RemoteHolds:
                         why = (
                             "the station has not said for longer than is allowed that it may go on"
                         )
+                        if self.silence is not None:
+                            why = f"{why}; {self.silence}"
                         self._hold(device_id, now.held_because(why))
             due = [token.due_s for token in self._tokens.values()]
             return min(due) + GRACE_S - now_s if due else None

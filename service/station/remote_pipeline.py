@@ -5,14 +5,11 @@ import logging
 import pickle
 import threading
 import time
-from collections import Counter
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import count
 from threading import Condition, Lock, RLock
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,32 +18,18 @@ from compute.errors import LumilineError
 from hardware.driver import DeviceDescription, Driver
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
 from service.pipeline.beam_hold_registry import BeamHoldWatchdog
-from service.pipeline.detection_stage import FindProfile, Method, SearchModel, peak_method
-from service.pipeline.device_session import StreamPublisher, ToolCounts
-from service.pipeline.device_status import DeviceStatus
+from service.pipeline.detection_stage import FindProfile
 from service.pipeline.frame_batch import LatestPoses
-from service.pipeline.interface import Accept, RunningDevice, StationState, any_device
-from service.pipeline.stage_latency import Stage
-from service.pipeline.tap_collection import collect_readings, not_running
-from service.pipeline.taps import Tap, log_failed_tap
+from service.pipeline.interface import Accept, StationState, any_device
+from service.pipeline.tap_collection import collect_readings
 from service.pipeline.threads import call_in_loop
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
-from service.problems.errors import DeviceNotRunning, NotReady
+from service.problems.errors import NotReady
 from service.station.bus_messages import (
-    BatchMessage,
-    DeviceFigures,
-    MessageKind,
-    StationFigures,
     read_bad_pixels,
-    read_description,
-    read_figures,
-    read_hold,
-    read_poses,
-    split_message,
 )
 from service.station.calls import Start
-from service.station.remote_holds import RemoteHolds
-from service.station.shared_ring import Record
+from service.station.station_mirror import ClientStreams, StationMirror
 from service.station.station_process import StationProcess
 from service.station.station_starter import StationStarter
 
@@ -68,182 +51,6 @@ _PASS_S: Final = 10.0
 """How long a call waits for what it caused to come by the bus."""
 
 
-class ClientStreams(StreamPublisher, Protocol):
-    """StreamPublisher that takes batches as bytes, and tells how many clients there are."""
-
-    def publish_message(self, message: BatchMessage) -> None:
-        """Send a batch of frames, which is read when a client wants it."""
-        ...
-
-    def on_clients(self, listener: Callable[[str, int], None]) -> None:
-        """Call with a device and its number of clients whenever that changes."""
-        ...
-
-    def client_counts(self) -> dict[str, int]:
-        """Return the number of clients of each device that had any."""
-        ...
-
-
-@dataclass(eq=False)
-class _AttachedTap:
-    tap: Tap
-    prepared: bool = False
-
-
-class RemoteDevice:
-    """One device of a station, from its start to its stop; see ``RunningDevice``."""
-
-    def __init__(self, pipeline: "RemotePipeline", device_id: str, figures: DeviceFigures) -> None:
-        assert figures.description is not None
-        self._pipeline = pipeline
-        self.device_id = device_id
-        self.generation = figures.generation
-        self.description: DeviceDescription = figures.description
-        self._figures = figures
-        self._prepared_with: ActiveCalibration | None = None
-        self._missed = 0
-        self._newest: int | None = None
-        self._interrupted = self._resumes = False
-        self._lock = RLock()
-        """Held while a batch is offered: a detached tap has all that it was being given."""
-        self._taps: dict[int, _AttachedTap] = {}
-
-    def update(self, figures: DeviceFigures) -> None:
-        """Take newer figures of this start."""
-        self._figures = figures
-
-    def end(self) -> None:
-        """Note that nothing more comes: it was started again, or its station is lost."""
-        self._figures = replace(self._figures, running=False, connected=False, drained=True)
-
-    @property
-    def running(self) -> bool:
-        """Whether frames still come, or will when the device is connected again."""
-        return self._figures.running
-
-    @property
-    def connected(self) -> bool:
-        """Whether it runs and its device is there."""
-        return self._figures.connected
-
-    @property
-    def drained(self) -> bool:
-        """Whether all frames are processed, and offered to taps, and no more will come."""
-        return self._figures.drained
-
-    @property
-    def active_calibration(self) -> ActiveCalibration:
-        """What its newest batch was processed with."""
-        active = self._prepared_with or self._pipeline.calibration(self.device_id)
-        return replace(active, bad_pixels=self._figures.status.bad_pixels)
-
-    @property
-    def method(self) -> Method | None:
-        """How its peaks are found; None: nothing reads its scans."""
-        return peak_method(self.description)
-
-    @property
-    def search_model(self) -> SearchModel:
-        """What its peaks are found with; waits for the station."""
-        model: SearchModel = self._pipeline.call("search_model", self.device_id)
-        return model
-
-    @property
-    def last_sequence(self) -> int:
-        """Sequence number of the newest frame; -1 before the first; waits for the station."""
-        number: int = self._pipeline.call("last_sequence", self.device_id)
-        return number
-
-    @property
-    def frames_dropped(self) -> int:
-        """Frames that taps lack: nobody took them in time, here or at the station."""
-        return self._figures.status.frames_dropped_compute + self._missed
-
-    def peak_settings(self) -> dict[str, Any]:
-        """Return the method of peak detection and its errors as a JSON object."""
-        return self._figures.peak_settings
-
-    def status(self) -> DeviceStatus:
-        """Return its status."""
-        return self._pipeline.status(self.device_id)
-
-    def attach(self, tap: Tap, *, sampled: bool = False) -> None:
-        """Give a tap all batches from now on; ``sampled``: some seconds of a minute are enough."""
-        number = self._pipeline.next_tap()
-        with self._lock:
-            self._taps[number] = _AttachedTap(tap)
-        try:
-            self._pipeline.call(
-                "attach",
-                self.device_id,
-                self.generation,
-                number,
-                sampled=sampled,
-                pixels=tap.wants_pixels,
-            )
-        except (DeviceNotRunning, NotReady):
-            # It has ended meanwhile: whoever waits for its batches sees that.
-            return
-
-    def detach(self, tap: Tap) -> None:
-        """Give a tap no more batches; what it was being given, it has when this returns."""
-        with self._lock:
-            numbers = [number for number, one in self._taps.items() if one.tap is tap]
-            for number in numbers:
-                del self._taps[number]
-            self._resume()
-            if not self._taps:
-                self._interrupted, self._newest = False, None
-        for number in numbers:
-            self._pipeline.notify("detach", number)
-
-    def prepare(self, number: int, active: ActiveCalibration) -> bool:
-        """Tell a tap what its next batches are processed with; return whether it is of here."""
-        with self._lock:
-            one = self._taps.get(number)
-            if one is None:
-                return False
-            self._prepared_with = active
-            self._guarded(number, one, partial(one.tap.prepare, active))
-            one.prepared = True
-            self._resume()
-            return True
-
-    def _resume(self) -> None:
-        """Offer batches again, once all taps know what they are processed with."""
-        if self._interrupted and all(one.prepared for one in self._taps.values()):
-            self._interrupted, self._resumes = False, True
-
-    def interrupt(self) -> None:
-        """Offer no more until taps know again what batches are processed with: some were missed."""
-        with self._lock:
-            self._interrupted = bool(self._taps)
-            for one in self._taps.values():
-                one.prepared = False
-
-    def offer(self, message: BatchMessage) -> None:
-        """Offer a batch to the taps that know what it was processed with."""
-        with self._lock:
-            if self._interrupted or not self._taps:
-                return
-            if self._resumes and self._newest is not None:
-                self._missed += max(0, message.first_sequence - self._newest - 1)
-            self._newest, self._resumes = message.last_sequence, False
-            batch = message.read()
-            for number, one in tuple(self._taps.items()):
-                if one.prepared:
-                    self._guarded(number, one, partial(one.tap.offer, batch))
-
-    def _guarded(self, number: int, one: _AttachedTap, act: Callable[[], object]) -> None:
-        """Let a tap do something; one that fails has no more, and the device goes on."""
-        try:
-            act()
-        except Exception as error:  # noqa: BLE001 - of the tap, not of the device
-            self._taps.pop(number, None)
-            self._pipeline.notify("detach", number)
-            log_failed_tap(self.device_id, one.tap, error)
-
-
 @dataclass(eq=False)
 class _StartedDevice:
     """How a device was started, for a station that takes the place of a lost one."""
@@ -254,7 +61,7 @@ class _StartedDevice:
     """The last that has started it."""
 
 
-class RemotePipeline:
+class RemotePipeline(StationMirror):
     """Starts and stops devices in a station's process; made in the event loop of its clients.
 
     What comes by the bus is taken in that loop. Methods that change something wait for the station,
@@ -281,29 +88,16 @@ class RemotePipeline:
         priority: int | None = None,
         cores: tuple[int, ...] = (),
     ) -> None:
-        self.streams = streams
-        self.poses = LatestPoses()
-        """The newest poses of all tools."""
-        self.holds = RemoteHolds(
-            lambda hold_id: bool(self.call("acknowledge", hold_id)),
-            lambda reference_id: self.notify("set_up", reference_id),
-            streams.publish_hold,
-        )
-        """Whether beams are held."""
+        super().__init__(streams, LatestPoses())
         self._watchdog = BeamHoldWatchdog(self.holds)
         self._loop = asyncio.get_running_loop()
         self._loop_thread = threading.get_ident()
         level = logging.getLogger().getEffectiveLevel()
         self._start = Start(compute_device, find_profile, level, priority, cores)
-        self._figures = StationFigures({}, ready=False)
-        self._devices: dict[str, RemoteDevice] = {}
         self._started: dict[str, _StartedDevice] = {}
         self._calibrations: dict[str, dict[int, ActiveCalibration]] = {}
         self._tracked: dict[str, TrackingConfig] = {}
         self._versions = count(1)
-        self._tap_numbers = count(1)
-        self._away: dict[str, DeviceFigures] = {}
-        """Devices of a lost station that are not started again yet."""
         self._lock = RLock()
         self._turns: dict[str, RLock] = {}
         self._passed = Condition()
@@ -313,8 +107,9 @@ class RemotePipeline:
         """Position of the bus up to which all is taken."""
         self._closing = False
         self._starter = starter
-        self._restarts = self._failures = self._messages_missed = 0
-        self._began_s = time.monotonic()
+        self._restarts = self._failures = 0
+        self._began_s, self._since_ns = time.monotonic(), time.time_ns()
+        self._why_lost: str | None = None
         self._replacing = Lock()
         """Held while another station takes a lost one's place."""
         self._reading: StationProcess | None = None
@@ -324,30 +119,21 @@ class RemotePipeline:
         streams.on_clients(lambda device_id, number: self.notify("set_clients", device_id, number))
 
     @property
-    def ready(self) -> bool:
-        """Whether the station processes frames."""
-        return self._figures.ready
-
-    @property
-    def busy_s(self) -> float:
-        """Time that the station has spent on its current batch or job [s]."""
-        return self._figures.busy_s
-
-    @property
-    def station(self) -> StationState:
+    def stations(self) -> tuple[StationState, ...]:
         """The process that devices belong to."""
         figures = self._figures
-        return StationState(
+        state = StationState(
             self._station.process_id,
             self._restarts,
             self._messages_missed,
             figures.memory_bytes,
             figures.cpu_s,
+            state="running" if self.ready else "starting",
+            reason=None if self.ready else self._why_lost,
+            since_ns=self._since_ns,
+            devices=len(figures.devices),
         )
-
-    def next_tap(self) -> int:
-        """Return a number for a tap."""
-        return next(self._tap_numbers)
+        return (state,)
 
     def call(self, method: str, *args: Any, **members: Any) -> Any:
         """Call a method of the station; returns when all that it caused has come by the bus.
@@ -482,47 +268,6 @@ class RemotePipeline:
                     REFRESH_S,
                 )
 
-    def status(self, device_id: str) -> DeviceStatus:
-        """Return the device's status; "stopped" for one never started. Never waits."""
-        found = self._figures.devices.get(device_id)
-        gone = device_id in self._away and device_id not in self._started
-        status = DeviceStatus("stopped") if found is None or gone else found.status
-        return replace(status, subscribers=self.streams.subscribers(device_id))
-
-    def statuses(self) -> dict[str, DeviceStatus]:
-        """Return the status of every device that was started, or tried to. Never waits."""
-        return {device_id: self.status(device_id) for device_id in self._figures.devices}
-
-    def latencies(self) -> dict[str, tuple[tuple[int, ...], float]]:
-        """Return the latencies of batches by class, and their sum [s], by device. Never waits."""
-        return {name: one.latency for name, one in self._ran().items()}
-
-    def stage_latencies(self) -> dict[str, tuple[int, dict[Stage, float]]]:
-        """Return frames that were timed, and their time in each stage [s], by device."""
-        return {name: one.stages for name, one in self._ran().items()}
-
-    def pose_counts(self) -> dict[str, dict[str, ToolCounts]]:
-        """Return pose counts by device and tool, of devices that were started. Never waits."""
-        return {
-            name: {
-                tool: ToolCounts(Counter(frames), newest_ns)
-                for tool, (frames, newest_ns) in one.tools.items()
-            }
-            for name, one in self._ran().items()
-        }
-
-    def describe(self, device_id: str) -> DeviceDescription | None:
-        """Return the driver's description of a device; None: it was never started. Never waits."""
-        found = self._figures.devices.get(device_id)
-        return None if found is None else found.description
-
-    def session(self, device_id: str) -> RunningDevice:
-        """Return a running device; raises DeviceNotRunning. Never waits."""
-        device = self._devices.get(device_id)
-        if device is None or not device.running:
-            raise not_running(device_id, self.status(device_id))
-        return device
-
     def collect(
         self, device_id: str, frames: int, marker: int | None, timeout_s: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -544,11 +289,6 @@ class RemotePipeline:
         call_in_loop(self._loop, release)
         ended.wait(_PASS_S)
         self._watchdog.close()
-
-    def _ran(self) -> dict[str, DeviceFigures]:
-        return {
-            name: one for name, one in self._figures.devices.items() if one.description is not None
-        }
 
     def _keep_configured_holds(self, device_id: str) -> None:
         """Forget the holds that a device has no more: another station has never known them."""
@@ -582,23 +322,33 @@ class RemotePipeline:
             if record.missed:
                 self._resynchronise(record.missed)
             try:
-                self._take(record)
+                self._take(record.data)
             except Exception:  # noqa: BLE001 - of this message; the next ones go on
                 _log.exception("a message of the station was not understood")
         # Less than were rung for: some were overwritten.
         self._due = self._due - count_read if count_read == min(self._due, TURN) else 0
+        if self._unoffered:
+            # Behind the clients, which are awake now.
+            self._loop.call_soon(self._end_turn, station)
+        else:
+            self._end_turn(station)
+        if self._due:
+            self._loop.call_soon(self._read_on, station)
+
+    def _end_turn(self, station: StationProcess) -> None:
+        """Offer the taps what was read, and tell those who wait for it."""
+        if self._reading is not station:
+            return
+        self._offer()
         station.reader.report_progress()
         with self._passed:
             self._read_to = station.reader.position
             self._passed.notify_all()
-        if self._due:
-            self._loop.call_soon(self._read_on, station)
 
     def _resynchronise(self, missed: int) -> None:
         """Ask for what may be among the messages that were missed."""
         self._messages_missed += missed
-        for device in self._devices.values():
-            device.interrupt()
+        self._interrupt()
         for device_id in self.holds.all():
             self._keep_configured_holds(device_id)
         self.notify("resynchronise")
@@ -607,59 +357,11 @@ class RemotePipeline:
         if station is self._station and self._due:
             self._read()
 
-    def _take(self, record: Record) -> None:
-        kind, header, end = split_message(record.data)
-        if kind is MessageKind.BATCH:
-            self._take_batch(BatchMessage(record.data, header, end, self.holds))
-        elif kind is MessageKind.POSES:
-            self.poses.put(read_poses(header))
-        elif kind is MessageKind.HOLD:
-            device_id, row, last = header
-            self.holds.change(device_id, read_hold(row, self.holds), last=last)
-        elif kind is MessageKind.FIGURES:
-            self._take_figures(read_figures(header[0]))
-        elif kind is MessageKind.STATE:
-            device_id, state, reason, link, described = header
-            if state in _ENDED or state == "disconnected":
-                self.poses.remove(device_id)
-            description = read_description(described)
-            self.streams.publish_status(device_id, state, reason, link, description)
-        elif kind is MessageKind.CALIBRATION:
-            self._prepare(*header)
-        else:
-            self.streams.end(*header)
+    def _comes_back(self, device_id: str) -> bool:
+        """Whether a device of a lost station is started again."""
+        return device_id in self._started
 
-    def _take_batch(self, message: BatchMessage) -> None:
-        device_id = message.device_id
-        if message.holds:
-            self.holds.take(device_id, message.holds[-1])
-        device = self._devices.get(device_id)
-        if device is not None:
-            device.offer(message)
-        message.drop_pixels()
-        self.streams.publish_message(message)
-
-    def _take_figures(self, figures: StationFigures) -> None:
-        away = {name: one for name, one in self._away.items() if name not in figures.devices}
-        # Not "stopped" while it is their turn to be started again.
-        self._away = {name: one for name, one in away.items() if name in self._started}
-        for device_id in away.keys() - self._away.keys():
-            self.streams.publish_status(device_id, "stopped")
-        if self._away:
-            figures = replace(figures, devices=self._away | figures.devices)
-        self._figures = figures
-        for device_id, one in figures.devices.items():
-            known = self._devices.get(device_id)
-            if known is not None and known.generation == one.generation:
-                known.update(one)
-            elif one.running:
-                if known is not None:
-                    known.end()
-                self._devices[device_id] = RemoteDevice(self, device_id, one)
-        for device_id in self._devices.keys() - figures.devices.keys():
-            self._devices.pop(device_id).end()
-
-    def _prepare(self, tap: int, version: int, masked: bytes) -> None:
+    def _take_calibration(self, tap: int, version: int, masked: bytes) -> None:
         bad_pixels = read_bad_pixels(masked)
         for device_id, device in self._devices.items():
             with self._lock:
@@ -697,7 +399,7 @@ class RemotePipeline:
         with self._replacing:
             if self._closing:
                 return False
-            self._began_s = time.monotonic()
+            self._began_s, self._since_ns = time.monotonic(), time.time_ns()
             try:
                 self._station = StationProcess(self._starter, self._start, self._lost)
             except OSError as error:
@@ -713,6 +415,7 @@ class RemotePipeline:
     def _release(self, station: StationProcess) -> None:
         """Read a station's messages no more; one that was lost is released already."""
         if self._reading is station:
+            self._offer()
             self._reading, self._due = None, 0
             self._loop.remove_reader(station.doorbell.descriptor)
             station.release()
@@ -727,34 +430,12 @@ class RemotePipeline:
             self._due = 1 << 30
             while self._due:
                 self._read()
-            self._tell_lost(why)
+            self._offer()
+            reason = f"the process that owns the devices has ended ({why}) and is started again"
+            self._why_lost, self._since_ns = reason, time.time_ns()
+            self._tell_lost("starting", reason)
         finally:
             self._release(station)
-
-    def _tell_lost(self, why: str) -> None:
-        """Tell that the devices of a station are away, or have ended with it."""
-        reason = f"the process that owns the devices has ended ({why}) and is started again"
-        self.holds.fail(reason)
-        figures, away = {}, {}
-        for device_id, one in self._figures.devices.items():
-            device = self._devices.pop(device_id, None)
-            if device is not None:
-                device.end()
-            if device_id in self._started:
-                status = replace(one.status, state="starting", reason=reason)
-                away[device_id] = DeviceFigures(status, description=one.description)
-            elif one.status.state in _ENDED:
-                status = one.status
-            else:
-                status = replace(one.status, state="stopped", reason=None)  # as it was told to
-            figures[device_id] = away.get(device_id) or replace(
-                one, status=status, generation=0, running=False, connected=False
-            )
-            if status is not one.status:
-                self.poses.remove(device_id)
-                self.streams.publish_status(device_id, status.state, status.reason)
-        self._figures = StationFigures(figures, ready=False)
-        self._away = away
 
     def _forget_lost(self, device_id: str) -> None:
         """Forget a device that was deleted while there was no station."""

@@ -247,4 +247,4 @@ def test_walk_through_a_station_has_the_modules_of_the_bus_in_addition(
     if content != "points":
         table.append("service.station.remote_holds")
     assert not differences(ran, table)
-    assert len(ran) <= (16 if content == "points" else 37)
+    assert len(ran) <= (17 if content == "points" else 38)

@@ -25,7 +25,7 @@ from service.database.models import (
     ReconstructionRow,
 )
 from service.database.referrers import refuse_if_referred
-from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiometric
 from service.problems.errors import (
     CorrectionTableExists,
     CorrectionTableInUse,
@@ -267,16 +267,29 @@ def active_calibration(session: Session, device_id: str) -> ActiveCalibration:
     pointer = active(session, device_id)
     if pointer is None:
         return ActiveCalibration()
-    calibration = CALIBRATIONS.get(session, pointer.calibration_id)
-    table = None if pointer.table_id is None else TABLES.get(session, pointer.table_id)
+    return stored_calibration(session, pointer.calibration_id, pointer.table_id)
+
+
+def stored_calibration(
+    session: Session,
+    calibration_id: str | None,
+    table_id: str | None,
+    radiometric: ActiveRadiometric | None = None,
+) -> ActiveCalibration:
+    """Return a calibration and a table by their ids, with their content."""
+    if calibration_id is None:
+        return ActiveCalibration(radiometric=radiometric)
+    calibration = CALIBRATIONS.get(session, calibration_id)
+    table = None if table_id is None else TABLES.get(session, table_id)
     return ActiveCalibration(
         calibration.id,
         result_of(calibration.content),
-        pointer.table_id,
+        table_id,
         content_of(table).table if table else None,
         calibration.content,
         calibration.content_hash,
         table.data if table else None,
+        radiometric,
     )
 
 

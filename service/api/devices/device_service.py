@@ -8,18 +8,20 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, Final
 
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter, LumilineError
 from service.api.devices import store
-from service.api.devices.driver_factory import Bars, make_driver, sensors_of
+from service.api.devices.driver_factory import Bars, check_names, make_driver, sensors_of
 from service.api.devices.nominal_source import nominal_mismatch, same_simulation
 from service.api.devices.schema import (
     Device,
     DeviceChange,
+    ExternalSource,
     FusionSource,
     NewDevice,
+    Sensor,
     Source,
     check_connected_sensors,
     check_sensors,
@@ -38,9 +40,16 @@ from service.database.engine import Database
 from service.database.models import CalibrationRow, DeviceRow, HoldRow
 from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiometric
 from service.pipeline.device_status import DeviceStatus
-from service.pipeline.interface import Pipeline
+from service.pipeline.interface import Pipeline, RemoteStations
 from service.pipeline.tracking_config import TrackingConfig
-from service.problems.errors import ActivationConflict, DeviceInUse, NominalCalibrationMismatch
+from service.problems.errors import (
+    ActivationConflict,
+    DeviceInUse,
+    DeviceWithoutDriver,
+    NominalCalibrationMismatch,
+    StationNotReached,
+    UnknownStation,
+)
 from service.settings import DataFolders
 
 _log = logging.getLogger(__name__)
@@ -65,7 +74,17 @@ class StoredContent:
 
 
 class DeviceService:
-    """Starts, stops and recalibrates devices so that the database and the live side agree."""
+    """Starts, stops and recalibrates devices so that the database and the live side agree.
+
+    Args:
+        database: the database.
+        live: the live side.
+        folders: where recordings and profiles are.
+        stored: reads what other resources store for a device.
+        own: the station that this process is; None: a server; empty: one without devices of its
+            own.
+        stations: those on other machines; None: there are none.
+    """
 
     def __init__(
         self,
@@ -73,11 +92,15 @@ class DeviceService:
         live: Pipeline,
         folders: DataFolders,
         stored: StoredContent,
+        own: str | None = None,
+        stations: RemoteStations | None = None,
     ) -> None:
         self._database = database
         self._stored = stored
         self._live = live
         self._folders = folders
+        self._own = own
+        self._stations = stations
         self._locks: dict[str, threading.Lock] = {}
         self._guard = threading.Lock()
 
@@ -95,16 +118,19 @@ class DeviceService:
         Raises:
             DeviceExists, or what the driver raises when it is opened.
         """
-        sensors = sensors_of(request.id, request.source, self._folders, self._bars(request.source))
-        with self._exclusive(request.id), self._database.write() as session:
-            return store.document(session, store.add_device(session, request, sensors))
+        sensors = self._sensors_of(request.id, request.source, request.station)
+        with self._exclusive(request.id):
+            with self._database.write() as session:
+                created = store.document(session, store.add_device(session, request, sensors))
+            self._assign(request.id, request.station)
+            return created
 
-    def _bars(self, source: Source) -> Bars:
-        """Return the sensors of the devices that a fused one is made of.
+    def _bars(self, source: Source, station: str | None) -> Bars:
+        """Return the sensors of the devices that a fused one of a station is made of.
 
         Raises:
             UnknownDevice: one of them is not there.
-            InvalidParameter: one of them is fused itself.
+            InvalidParameter: one of them is fused itself, or of another station.
         """
         if not isinstance(source, FusionSource):
             return {}
@@ -114,6 +140,13 @@ class DeviceService:
             if fused:
                 raise InvalidParameter(
                     f'"{fused[0]}" is fused itself; name the bars that it is made of', bars=fused
+                )
+            far = [row for row in rows if row.station != station]
+            if far:
+                raise InvalidParameter(
+                    f'"{far[0].id}" is of {_where(far[0].station)}; a fused device is of the same '
+                    f"station as its bars, and this one is of {_where(station)}",
+                    bars=[row.id for row in far],
                 )
             return {row.id: store.sensors_of_row(row) for row in rows}
 
@@ -125,13 +158,20 @@ class DeviceService:
             raises when it is opened.
         """
         with self._database.read() as session:
-            store.get_device(session, device_id)
+            station = store.get_device(session, device_id).station
+        given = change.model_fields_set
+        target = change.station if "station" in given else station
         sensors = None
-        if "source" in change.model_fields_set:
-            sensors = sensors_of(device_id, change.source, self._folders, self._bars(change.source))
+        if "source" in given:
+            sensors = self._sensors_of(device_id, change.source, target)
+        else:
+            self._check_station(device_id, target)
         with self._exclusive(device_id):
+            self._assign(device_id, station)
             # Before the transaction: the live side may be busy starting another device.
-            running = self._live.status(device_id).state in _RUNS
+            # Of a lost station it is not known; it forgets the device once it is back.
+            reached = self._stations is None or self._stations.reaches(station)
+            running = reached and self._live.status(device_id).state in _RUNS
             with self._database.write() as session:
                 row = store.get_device(session, device_id, lock=True)
                 expected.check(store.document(session, row))
@@ -141,9 +181,37 @@ class DeviceService:
                     self._refuse_if_nominal(session, device_id, change.source)
                 changed = store.document(session, row)
                 tracked = self._stored.tracking_config(session, row)
-            if "tracking" in change.model_fields_set:
+            if target != station:
+                self._live.forget_device(device_id)
+                self._assign(device_id, target)
+            if "tracking" in given or target != station:
                 self._apply_tracking_config(device_id, tracked)
             return changed
+
+    def _sensors_of(self, device_id: str, source: Source, station: str | None) -> list[Sensor]:
+        """Return the sensors of a source, which a station's own machine has to be asked for."""
+        self._check_station(device_id, station)
+        known = isinstance(source, ExternalSource | FusionSource)
+        near = station is None or station == self._own or known
+        if near or self._stations is None or station is None:
+            return sensors_of(device_id, source, self._folders, self._bars(source, station))
+        plain = source.model_dump(mode="json")
+        found = self._stations.sensors_at_station(station, device_id, plain)
+        return check_names([Sensor(**one) for one in found])
+
+    def _check_station(self, device_id: str, station: str | None) -> None:
+        if station != self._own and self._stations is None:
+            raise UnknownStation(
+                f'device "{device_id}" cannot be of the station "{station}": this server reaches '
+                "none; give it a bus_url, or leave the station out",
+                device_id=device_id,
+                station=station,
+            )
+
+    def _assign(self, device_id: str, station: str | None) -> None:
+        """Let the live side know where a device is."""
+        if self._stations is not None:
+            self._stations.assign(device_id, station)
 
     def _refuse_if_nominal(self, session: Session, device_id: str, source: Source) -> None:
         """Raise DeviceInUse where the active calibration is nominal and not of a new source.
@@ -167,6 +235,7 @@ class DeviceService:
             with self._database.write() as session:
                 row = store.get_device(session, device_id, lock=True)
                 expected.check(store.document(session, row))
+                self._assign(device_id, row.station)
                 store.delete_device(session, device_id, cascade=cascade)
             self._live.forget_device(device_id)
 
@@ -180,16 +249,33 @@ class DeviceService:
         with self._exclusive(device_id):
             with self._database.read() as session:
                 row = store.get_device(session, device_id)
-                source = store.source_of(row)
+                source, station = store.source_of(row), row.station
                 found = self._active(session, device_id)
                 stored = store.sensors_of_row(row)
                 tracked = self._stored.tracking_config(session, row)
+            if station != self._own and not isinstance(source, ExternalSource):
+                self._start_at_station(device_id, station)
+                return self._live.status(device_id)
             self._live.set_tracking_config(device_id, tracked)
-            driver = make_driver(device_id, source, self._folders, self._bars(source))
+            driver = make_driver(device_id, source, self._folders, self._bars(source, station))
             self._live.start_device(
                 device_id, driver, found, partial(check_connected_sensors, device_id, stored)
             )
             return self._live.status(device_id)
+
+    def _start_at_station(self, device_id: str, station: str | None) -> None:
+        if self._stations is None or station is None:
+            advice = (
+                "this server has no devices of its own (LUMILINE_STATION=none); give the device a "
+                "station"
+                if station is None
+                else f'it is of the station "{station}", which is not reached from here'
+            )
+            raise DeviceWithoutDriver(
+                f'device "{device_id}" cannot be started: {advice}', device_id=device_id
+            )
+        self._stations.assign(device_id, station)
+        self._stations.start_at_station(device_id)
 
     def stop(self, device_id: str) -> DeviceStatus:
         """Stop a device, also while the database does not answer; raises UnknownDevice."""
@@ -199,6 +285,13 @@ class DeviceService:
                     store.get_device(session, device_id)
             self._live.stop_device(device_id)
             return self._live.status(device_id)
+
+    def stored(self, device_id: str) -> tuple[str | None, ActiveCalibration, TrackingConfig]:
+        """Return a device's station, what it uses and what it tracks; raises UnknownDevice."""
+        with self._database.read() as session:
+            row = store.get_device(session, device_id)
+            found = self._active(session, device_id)
+            return row.station, found, self._stored.tracking_config(session, row)
 
     def status(self, device_id: str) -> DeviceStatus:
         """Return what a device is doing; raises UnknownDevice."""
@@ -281,6 +374,8 @@ class DeviceService:
     def _activate(self, device_id: str, found: ActiveCalibration) -> None:
         try:
             self._live.set_calibration(device_id, found)
+        except StationNotReached:
+            raise  # it says that it is stored
         except Exception:  # noqa: BLE001 - committed: an error would say that it was not
             _log.exception("device %s does not use %s yet", device_id, found.calibration_id)
 
@@ -317,24 +412,35 @@ class DeviceService:
     def _apply_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
         try:
             self._live.set_tracking_config(device_id, tracked)
+        except StationNotReached:
+            raise  # it says that it is stored
         except Exception:  # noqa: BLE001 - committed: an error would say that it was not
             _log.exception("device %s does not follow its tools as stored yet", device_id)
 
     def _monitor_beam_holds(self) -> None:
         """Let the live side know the beam holds of devices that do not run yet."""
         with self._database.read() as session:
-            having = select(DeviceRow).where(DeviceRow.id.in_(select(HoldRow.device_id)))
+            self._assign_all(session)
+            having = select(DeviceRow).where(
+                DeviceRow.id.in_(select(HoldRow.device_id)), _is_of(self._own)
+            )
             rows = session.scalars(having.order_by(DeviceRow.id)).all()
             known = [(row.id, self._stored.tracking_config(session, row)) for row in rows]
         for device_id, tracked in known:
             self._apply_tracking_config(device_id, tracked)
+
+    def _assign_all(self, session: Session) -> None:
+        for device_id, station in session.execute(select(DeviceRow.id, DeviceRow.station)):
+            self._assign(device_id, station)
 
     def autostart(self, *also: str) -> None:
         """Start all devices that say so, and these; one that fails keeps no other waiting."""
         self._monitor_beam_holds()
         with self._database.read() as session:
             wanted = session.scalars(
-                select(DeviceRow.id).where(DeviceRow.autostart).order_by(DeviceRow.id)
+                select(DeviceRow.id)
+                .where(DeviceRow.autostart, _is_of(self._own))
+                .order_by(DeviceRow.id)
             ).all()
         for device_id in dict.fromkeys((*wanted, *also)):
             try:
@@ -343,6 +449,11 @@ class DeviceService:
                 _log.error("device %s was not started: %s", device_id, error.detail)
             except Exception:  # noqa: BLE001 - a driver's fault must not keep the server down
                 _log.exception("device %s was not started", device_id)
+
+
+def _is_of(station: str | None) -> ColumnElement[bool]:
+    """Return the condition that a device is of a station; None: of the server."""
+    return DeviceRow.station.is_(None) if station is None else DeviceRow.station == station
 
 
 def _check_precondition(
@@ -388,6 +499,10 @@ def _check_precondition(
             device_id=device_id,
             active=None if now is None else now.calibration_id,
         )
+
+
+def _where(station: str | None) -> str:
+    return "the server itself" if station is None else f'the station "{station}"'
 
 
 def _last_move(session: Session, device_id: str) -> int | None:

@@ -117,6 +117,11 @@ def sensors_of(device_id: str, source: Source, folders: DataFolders, bars: Bars)
             sensors = validated_sensors(driver.description.sensors)
         finally:
             driver.close()
+    return check_names(sensors)
+
+
+def check_names(sensors: list[Sensor]) -> list[Sensor]:
+    """Return a device's sensors; raises InvalidParameter where two have one name."""
     names = [sensor.name for sensor in sensors]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import ConfigDict, Field, StringConstraints
 from pydantic.dataclasses import dataclass as checked_dataclass
@@ -125,13 +125,22 @@ Source = Annotated[
 ]
 
 
+_STATION: Final = (
+    "The station on another machine that the device is connected to, as `/api/v1/stations` lists "
+    "them; null: this server itself."
+)
+
+
 class NewDevice(RequestModel):
     """A device to create."""
 
     id: Slug
     title: Text200
     source: Source
-    autostart: bool = Field(default=False, description="Start it together with the server.")
+    station: Slug | None = Field(default=None, description=_STATION)
+    autostart: bool = Field(
+        default=False, description="Start it together with the server, or with its station."
+    )
     tracking: Tracking = Field(default_factory=Tracking)
 
 
@@ -139,6 +148,7 @@ class DeviceChange(RequestModel):
     """Changes of a device; a field left out stays as it is, of `tracking` too."""
 
     title: Text200 = absent()
+    station: Slug | None = absent()
     source: Source = absent()
     autostart: bool = absent()
     tracking: Tracking = absent()
@@ -155,6 +165,7 @@ class Device(ResponseModel):
 
     id: str
     title: str
+    station: str | None = Field(description=_STATION)
     source: Source
     sensors: list[Sensor] = Field(description="In the order of the scans of a frame.")
     autostart: bool

@@ -80,6 +80,7 @@ def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> D
         source=_SOURCE.dump_python(request.source, mode="json"),
         sensors=_SENSORS.dump_python(sensors, mode="json"),
         autostart=request.autostart,
+        station=request.station,
         tracking=_stored(request.tracking),
         created_at=now,
         updated_at=now,
@@ -113,6 +114,14 @@ def change_device(
     given = change.model_fields_set
     if "title" in given:
         row.title = change.title
+    if "station" in given and change.station != row.station:
+        if running:
+            raise DeviceRunning(
+                f'device "{device_id}" is running; stop it before it becomes that of another '
+                "station",
+                device_id=device_id,
+            )
+        row.station = change.station
     if "autostart" in given:
         row.autostart = change.autostart
     if "tracking" in given:

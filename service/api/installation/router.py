@@ -1,5 +1,7 @@
 """REST resource /api/v1/settings: how this server is set."""
 
+import re
+
 from pydantic import Field, JsonValue
 from sqlalchemy.engine import make_url
 
@@ -16,7 +18,7 @@ class Setting(ResponseModel):
     """A setting of the server, as it is in force."""
 
     name: str = Field(description="In the file of settings; as a variable LUMILINE_ and this.")
-    value: JsonValue = Field(description="What is in force; a database's password is hidden.")
+    value: JsonValue = Field(description="What is in force; passwords in URLs are hidden.")
     is_default: bool = Field(description="Whether nobody set it to something else.")
     description: str = Field(description="What it does.")
 
@@ -36,11 +38,15 @@ def _setting(settings: Settings, name: str) -> Setting:
     default = field.get_default(call_default_factory=True)
     return Setting(
         name=name,
-        value=_without_password(value) if name == "database_url" else value,
+        value=_without_password(name, value),
         is_default=getattr(settings, name) == default,
         description=" ".join((field.description or "").split()),
     )
 
 
-def _without_password(url: str | None) -> str | None:
-    return None if url is None else make_url(url).render_as_string(hide_password=True)
+def _without_password(name: str, value: JsonValue) -> JsonValue:
+    if not isinstance(value, str) or name not in ("database_url", "bus_url"):
+        return value
+    if name == "database_url":
+        return make_url(value).render_as_string(hide_password=True)
+    return re.sub(r"//[^@/,]*@", "//***@", value)

@@ -2,7 +2,7 @@
 
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from itertools import accumulate
 from typing import Any, Final, TypeVar, get_args
@@ -27,7 +27,7 @@ from service.jobs.run_manager import BOUNDS_S, DurationHistogram
 from service.jobs.store import STATES, Kind
 from service.pipeline import device_session
 from service.pipeline.device_status import DeviceState
-from service.pipeline.interface import Pipeline
+from service.pipeline.interface import Pipeline, StationState
 from service.pipeline.stage_latency import Stage
 from service.problems.errors import NotReady
 from service.protocols.stream.hub import Hub
@@ -79,6 +79,19 @@ _STREAMS: Final[Members] = (
         "Messages that clients were told to have missed, of all clients together.",
         "missed",
     ),
+)
+_STATIONS: Final[Members] = (
+    (
+        "station_restarts",
+        "How often the process that its devices belong to was lost and started again.",
+        "restarts",
+    ),
+    (
+        "station_messages_missed",
+        "Messages of its bus that were lost before they were read.",
+        "messages_missed",
+    ),
+    ("station_cpu_seconds", "Computing time of it.", "cpu_s"),
 )
 _RECORDINGS: Final[Members] = (
     ("recording_written_bytes", "Bytes written to recordings.", "size_bytes"),
@@ -241,7 +254,7 @@ class LiveCollector(Collector):
         )
 
     def _station(self) -> Iterator[Metric]:
-        station = self._live.station
+        station = next((one for one in self._live.stations if one.name is None), None)
         counts: list[tuple[str, str, float]] = [
             (
                 "station_restarts",
@@ -261,6 +274,32 @@ class LiveCollector(Collector):
             )
         for name, what, value in counts:
             yield counter(name, what, (((), float(value)),), ())
+        far: dict[tuple[str, ...], StationState] = {
+            (one.name,): one for one in self._live.stations if one.name is not None
+        }
+        if far:
+            yield from self._far_stations(far)
+
+    def _far_stations(self, far: Mapping[tuple[str, ...], StationState]) -> Iterator[Metric]:
+        """Yield those of stations on other machines; without a bus there are none."""
+        yield from members_of(_STATIONS, far, ("station",), "remote_")
+        values: tuple[tuple[str, str, Callable[[StationState], float | None]], ...] = (
+            ("station_memory_bytes", "Resident memory of it.", lambda one: one.memory_bytes),
+            (
+                "station_up",
+                "1 where it answers, 0 where it is lost or starts again.",
+                lambda one: float(one.state in ("running", "limited")),
+            ),
+            (
+                "station_round_trip_seconds",
+                "A question to it over the bus, and its answer.",
+                lambda one: one.round_trip_s,
+            ),
+        )
+        for name, what, value in values:
+            found = ((label, value(one)) for label, one in far.items())
+            labelled = [(label, float(one)) for label, one in found if one is not None]
+            yield gauge(f"remote_{name}", what, labelled, ("station",))
 
     def _tools(self) -> Iterator[Metric]:
         tools = {

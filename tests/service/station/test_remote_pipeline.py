@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import msgpack
 import pytest
 
 from compute.errors import InvalidParameter
@@ -29,7 +30,7 @@ from service.pipeline.interface import Pipeline
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.tracking_config import TrackingConfig
 from service.problems.errors import DeviceNotRunning, NotReady
-from service.protocols.stream.hub import Hub
+from service.protocols.stream.hub import Hub, StreamRequest
 from service.protocols.stream.messages import CONTENTS
 from service.station import station_process
 from service.station.bus_messages import BatchMessage
@@ -208,7 +209,7 @@ def test_state_is_not_waited_for_where_the_station_is_busy(
 ) -> None:
     pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
     monkeypatch.setattr("service.station.remote_pipeline.REFRESH_S", 0.2)
-    process_id = pipeline.station.process_id
+    process_id = pipeline.stations[0].process_id
     os.kill(process_id, signal.SIGSTOP)
     try:
         began = time.monotonic()
@@ -267,7 +268,7 @@ def test_a_live_source_waits_for_nobody_and_what_is_missed_is_counted(
     missing = numbers[-1] - numbers[0] + 1 - len(numbers)
     assert missing > 500
     wait_for(lambda: live.status("sim").frames_lost + device.frames_dropped >= missing)
-    assert live.station.messages_missed > 0
+    assert live.stations[0].messages_missed > 0
     # What it is processed with may have been among what was missed, and was told again.
     assert sum(isinstance(one, ActiveCalibration) for one in tap.events) > 1
     known = [one for one in tap.events if isinstance(one, ActiveCalibration)]
@@ -295,9 +296,9 @@ def test_lost_station_is_replaced_with_all_it_had(
     device, tap = live.session("sim"), KeepingTap()
     device.attach(tap)
     wait_for(lambda: tap.batches)
-    lost = live.station.process_id
+    lost = live.stations[0].process_id
     os.kill(lost, signal.SIGKILL)
-    wait_for(lambda: live.station.process_id != lost)
+    wait_for(lambda: live.stations[0].process_id != lost)
     assert not device.connected
     assert device.drained
     wait_for(lambda: live.status("sim").state == "running")
@@ -328,8 +329,10 @@ def test_device_that_did_not_start_is_not_started_again(pipeline: RemotePipeline
     with pytest.raises(InvalidParameter):
         pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED, refuse)
     pipeline.start_device("other", SimulatedDriver("other", LIVE), CALIBRATED)
-    os.kill(pipeline.station.process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.station.restarts == 1 and pipeline.status("other").state == "running")
+    os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("other").state == "running"
+    )
     assert pipeline.status("sim").state == "stopped"
 
 
@@ -337,9 +340,9 @@ def test_device_that_did_not_start_is_not_started_again(pipeline: RemotePipeline
 def test_devices_of_a_lost_station_are_never_told_to_be_stopped(pipeline: RemotePipeline) -> None:
     for name in ("one", "two", "three"):
         pipeline.start_device(name, SimulatedDriver(name, LIVE), CALIBRATED)
-    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
     seen = set()
-    while pipeline.station.restarts == 0 or seen_last(pipeline) != {"running"}:
+    while pipeline.stations[0].restarts == 0 or seen_last(pipeline) != {"running"}:
         seen |= seen_last(pipeline)
         time.sleep(0.001)
     assert seen == {"running", "starting"}
@@ -368,7 +371,7 @@ def waiting_at_the_first_restart(
         return call(self, method, *args, **members)
 
     monkeypatch.setattr(RemotePipeline, "call", wait_at_the_first)
-    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
     assert first_again.wait(WAIT_S)
     return go_on
 
@@ -402,7 +405,7 @@ def test_changes_without_a_station_reach_the_next_one(
         return replace_station(self)
 
     monkeypatch.setattr(RemotePipeline, "_replace", later)
-    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
     assert lost.wait(WAIT_S)
     pipeline.set_calibration("sim", CALIBRATED)
     pipeline.set_tracking_config("sim", TrackingConfig(True))
@@ -426,8 +429,10 @@ def test_station_that_cannot_be_started_is_tried_again(
         return start(self, descriptors)
 
     monkeypatch.setattr(StationStarter, "start", refuse_once)
-    os.kill(pipeline.station.process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.station.restarts == 1 and pipeline.status("sim").state == "running")
+    os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running"
+    )
     assert refused
     assert "no other station can be started now: no memory" in kept_log.text
 
@@ -451,7 +456,7 @@ def without_station(
         watched = TrackingConfig(True, holds=(hold(CHEST, identity="chest"),))
         live.set_tracking_config("sim", watched)
         live.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
-        os.kill(live.station.process_id, signal.SIGKILL)
+        os.kill(live.stations[0].process_id, signal.SIGKILL)
         wait_for(lambda: live.status("sim").state == "starting")
         return live, go_on.set
 
@@ -481,11 +486,11 @@ def test_stop_that_a_station_dies_of_is_told_to_clients(make_pipeline: MakePipel
     hub = Hub()
     live = make_pipeline(hub)
     live.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
-    os.kill(live.station.process_id, signal.SIGSTOP)
+    os.kill(live.stations[0].process_id, signal.SIGSTOP)
     stop = threading.Thread(target=live.stop_device, args=["sim"])
     stop.start()
     wait_for(lambda: "sim" not in live._started)
-    os.kill(live.station.process_id, signal.SIGKILL)
+    os.kill(live.stations[0].process_id, signal.SIGKILL)
     stop.join(WAIT_S)
     assert live.status("sim").state == "stopped"
     assert states(hub)[-1] == "stopped"
@@ -544,8 +549,10 @@ def test_configuration_that_is_refused_keeps_no_device_from_its_restart(
         return call(self, method, *args, **more)
 
     monkeypatch.setattr(RemotePipeline, "call", refuse_configuration)
-    os.kill(pipeline.station.process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.station.restarts == 1 and pipeline.status("sim").state == "running")
+    os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running"
+    )
     assert "does not follow its tools as before" in kept_log.text
 
 
@@ -559,7 +566,7 @@ def test_tap_that_is_detached_before_it_is_prepared_again_holds_up_no_other(
     wait_for(lambda: all(tap.batches for tap in taps))
     with device._lock:
         device.interrupt()
-        numbers = {one.tap: number for number, one in device._taps.items()}
+        numbers = {one.tap: number for number, one in device.taps.items()}
         device.prepare(numbers[taps[0]], CALIBRATED)
         device.detach(taps[1])
         count = len(taps[0].batches)
@@ -580,8 +587,10 @@ def test_station_comes_back_when_what_forks_stations_ends_again_and_again(
         return start(self, descriptors)
 
     monkeypatch.setattr(StationStarter, "_start", fail_first)
-    os.kill(pipeline.station.process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.station.restarts == 1 and pipeline.status("sim").state == "running")
+    os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running"
+    )
     assert len(failed) == times
 
 
@@ -592,13 +601,13 @@ def test_starter_that_is_gone_is_replaced(
     live.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
     assert starter._process is not None
     os.kill(starter._process.pid, signal.SIGKILL)
-    os.kill(live.station.process_id, signal.SIGKILL)
-    wait_for(lambda: live.station.restarts == 1 and live.status("sim").state == "running")
+    os.kill(live.stations[0].process_id, signal.SIGKILL)
+    wait_for(lambda: live.stations[0].restarts == 1 and live.status("sim").state == "running")
 
 
 def test_call_to_a_lost_station_is_told_to_come_again(pipeline: RemotePipeline) -> None:
     pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
-    os.kill(pipeline.station.process_id, signal.SIGSTOP)
+    os.kill(pipeline.stations[0].process_id, signal.SIGSTOP)
     caught: list[BaseException] = []
 
     def ask() -> None:
@@ -610,7 +619,7 @@ def test_call_to_a_lost_station_is_told_to_come_again(pipeline: RemotePipeline) 
     thread = threading.Thread(target=ask)
     thread.start()
     time.sleep(0.2)
-    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
     thread.join(WAIT_S)
     assert "is started again; try again" in str(caught[0])
 
@@ -631,7 +640,7 @@ def test_pipeline_that_is_closed_as_its_station_is_lost_releases_each_station_on
     hub = Hub()
     live = make_pipeline(hub)
     monkeypatch.setattr(live.holds, "fail", lambda _: told.set())
-    os.kill(live.station.process_id, signal.SIGKILL)
+    os.kill(live.stations[0].process_id, signal.SIGKILL)
     assert told.wait(WAIT_S)
     live.close()
     assert len(released) == len(set(released)) >= 1
@@ -660,7 +669,7 @@ class HangingDriver(SimulatedDriver):
 _GATEWAY = """
 import asyncio, signal, sys, threading, time
 from service.pipeline.detection_stage import built_in_profile
-from service.protocols.stream.hub import Hub
+from service.protocols.stream.hub import Hub, StreamRequest
 from service.station.bus_messages import BatchMessage
 from service.station.remote_pipeline import RemotePipeline
 from service.station.station_process import StationProcess
@@ -679,7 +688,7 @@ async def main():
         threading.Thread(target=live.start_device, args=("sim", driver), daemon=True).start()
         while live.status("sim").state != "starting":
             await asyncio.sleep(0.02)
-    print(live.station.process_id, flush=True)
+    print(live.stations[0].process_id, flush=True)
     await asyncio.sleep(600)
 
 asyncio.run(main())
@@ -720,3 +729,37 @@ def test_station_ends_with_its_gateway(how: signal.Signals, device: str) -> None
         gateway.kill()
         gateway.wait(WAIT_S)
         gateway.stdout.close()
+
+
+def test_clients_have_a_batch_before_taps_do(
+    make_pipeline: MakePipeline, event_loop_thread: asyncio.AbstractEventLoop
+) -> None:
+    """What is recorded or summed up can wait: at a tap's turn the client has the same frames."""
+    hub = Hub()
+    pipeline = make_pipeline(hub)
+    received: list[int] = [-1]
+    behind: list[int] = []
+
+    async def receive() -> None:
+        client = hub.subscribe(StreamRequest("sim", frozenset({"points"}), "msgpack"))
+        while True:
+            message = msgpack.unpackb(await client.next())
+            if message["type"] == "frame":
+                received.append(message["sequence"])
+
+    class Comparing(KeepingTap):
+        def offer(self, batch: FrameBatch) -> None:
+            super().offer(batch)
+            behind.append(batch.frames[-1].sequence - received[-1])
+
+    receiving = asyncio.run_coroutine_threadsafe(receive(), event_loop_thread)
+    try:
+        pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+        device, tap = pipeline.session("sim"), Comparing()
+        wait_for(lambda: len(received) > 1)
+        device.attach(tap)
+        wait_for(lambda: len(behind) > 20)
+        device.detach(tap)
+    finally:
+        receiving.cancel()
+    assert max(behind) <= 0

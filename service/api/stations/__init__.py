@@ -1,0 +1,1 @@
+"""REST resource /api/v1/stations."""

@@ -283,7 +283,6 @@ class StrobedStepKernel:
             model.covariance_factor.shape[2],
         )
         """Reliability of its pose."""
-        self._alone = FrameSteps(sensors, self.capacity)
 
     def prepare(
         self,
@@ -377,39 +376,6 @@ class StrobedStepKernel:
             .reshape(readings, 1 + common_errors)
             .copy(),
         )
-
-    def take(
-        self,
-        before: ImmState,
-        time_ns: int,
-        lit: int,
-        measurements: "Measurements",
-        manoeuvre_factor: float = 1.0,
-    ) -> Step:
-        """Return the step to an exposure.
-
-        Args:
-            before: the states at the tool's last exposure.
-            time_ns: time of this exposure, not earlier [ns].
-            lit: index of the marker that it lights.
-            measurements: the frame's peaks.
-            manoeuvre_factor: factor on the accelerations of all models.
-        """
-        job = ToolStep(self, before, lit, manoeuvre_factor)
-        (found,) = self._alone.take([job], time_ns, measurements)
-        assert isinstance(found, Step)
-        return found
-
-    def predict_combined(self, before: ImmState, time_ns: int) -> PoseState:
-        """Return the combined state predicted to a time, as ``ImmState.predict_combined``.
-
-        Args:
-            before: the states at the tool's last exposure.
-            time_ns: the time, not earlier [ns].
-        """
-        (found,) = self._alone.take([ToolStep(self, before)], time_ns, None)
-        assert isinstance(found, PoseState)
-        return found
 
 
 class FrameSteps:

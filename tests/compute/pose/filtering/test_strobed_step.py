@@ -124,9 +124,20 @@ class Case:
         return observation
 
     def by_kernel(self, after_ns: int, lit: int, measurements: Measurements) -> Step:
-        return self.step.take(
-            self.before, self.before.widest_state.time_ns + after_ns, lit, measurements
-        )
+        time_ns = self.before.widest_state.time_ns + after_ns
+        found = take_alone(ToolStep(self.step, self.before, lit), time_ns, measurements)
+        assert isinstance(found, Step)
+        return found
+
+
+def take_alone(
+    step: ToolStep, time_ns: int, measurements: Measurements | None = None
+) -> Step | PoseState:
+    """A launch for one tool."""
+    (found,) = FrameSteps(step.kernel.sensors, step.kernel.capacity).take(
+        [step], time_ns, measurements
+    )
+    return found
 
 
 def assert_same_state(found: PoseState, wanted: PoseState) -> None:
@@ -207,9 +218,10 @@ def test_what_is_expected_without_readings_is_as_by_numpy(made: Made, after_ns: 
     case = Case(*made)
     time_ns = case.before.widest_state.time_ns + after_ns
     found, wanted = (
-        case.step.predict_combined(case.before, time_ns),
+        take_alone(ToolStep(case.step, case.before), time_ns),
         case.before.predict_combined(time_ns),
     )
+    assert isinstance(found, PoseState)
     assert_same_state(found, wanted)
     known, same = found.reported_pose(case.centred), wanted.reported_pose(case.centred)
     for name, value in vars(same).items():
@@ -232,18 +244,17 @@ def test_tools_of_one_frame_are_as_each_by_itself_to_the_bit(seed: int, tools: i
     kernel = cases[0].step
     found = FrameSteps(kernel.sensors, kernel.capacity).take(steps, time_ns, measurements)
     for number, (case, one) in enumerate(zip(cases, found, strict=True)):
-        if number or not lit:
-            alone: PoseState = case.step.predict_combined(case.before, time_ns)
-        else:
-            step = case.step.take(case.before, time_ns, seed % 3, measurements)
-            assert isinstance(one, Step)
-            assert (one.peaks == step.peaks).all()
-            assert (one.nis, one.readings, one.misfit) == (step.nis, step.readings, step.misfit)
-            assert (one.imm is None) == (step.imm is None)
-            if one.imm is None or step.imm is None:
+        alone = take_alone(steps[number], time_ns, measurements)
+        if isinstance(one, Step):
+            assert isinstance(alone, Step)
+            assert (one.peaks == alone.peaks).all()
+            assert (one.nis, one.readings, one.misfit) == (alone.nis, alone.readings, alone.misfit)
+            assert (one.imm is None) == (alone.imm is None)
+            if one.imm is None or alone.imm is None:
                 continue
-            assert (one.imm.packed == step.imm.packed).all()
-            one, alone = one.imm.combined, step.imm.combined
+            assert (one.imm.packed == alone.imm.packed).all()
+            one, alone = one.imm.combined, alone.imm.combined
+        assert isinstance(alone, PoseState)
         assert isinstance(one, PoseState)
         for name in (*PARTS, "covariance", "common"):
             assert (getattr(one, name) == getattr(alone, name)).all()
@@ -339,6 +350,25 @@ def test_readings_that_contradict_one_another_are_left_out_or_all_refused(
     assert (wanted.readings, wanted.misfit) == (readings, readings == 0)
     assert_same_step(case, case.by_kernel(0, lit, wrong), wanted, wrong)
     assert case.by_kernel(0, lit, Measurements.of(told, sigma, flags)).readings == 4
+
+
+def test_a_peak_that_fits_once_the_others_were_used_is_not_counted_as_excluded() -> None:
+    case = plain(4)
+    state = case.before.widest_state
+    marker = state.marker_positions(case.centred)[1]
+    sigma, flags = np.full((4, 1), 0.05), np.zeros((4, 1), np.int32)
+    fitting = 0
+    for off_mm in np.linspace(0.0, 1.0, 101):
+        # The tool is elsewhere: the readings agree with one another, and some leave their gates.
+        moved = marker + off_mm * np.array([0.8, 0.0, 0.6])
+        told = case.model.linearise(moved[None])[0].T
+        measurements = Measurements.of(told, sigma, flags)
+        wanted = case.by_hand(case.before, 0, 1, measurements)
+        assert_same_step(case, case.by_kernel(0, 1, measurements), wanted, measurements)
+        free = without_peaks(measurements, [wanted.peaks])
+        off = wanted.excluded_nis(case.model, free, GATE)
+        fitting += 0 < wanted.readings < 4 and not off.any()
+    assert fitting
 
 
 @pytest.mark.slow

@@ -98,6 +98,9 @@ def align(
     position, variance = position_px[1], variance_px2[1]
     before, after, through = _match((earlier, later), position_px, variance_px2, settings)
     rows = np.arange(len(position))[:, None]
+    curved = _along_parabola((earlier, later), ahead, position_px, variance_px2, before, after)
+    if through.all() and (curved[1] <= MAX_SIGMA_PX**2).all():
+        return AlignedReadings(*curved)
     # Not found again.
     seen = np.isfinite(position)
     unmoved = np.where(seen, variance + (settings.max_rate_px_s / 3.0 * ahead) ** 2, np.nan)
@@ -118,23 +121,37 @@ def align(
         better = (partner >= 0) & (along[1] < found[1])
         found[:, better] = along[:, better]
 
-    # In both: the parabola.
-    apart = later - earlier
-    divisors = (-earlier * apart, earlier * later, later * apart)
-    weights = (ahead * (ahead - later), (ahead - earlier) * (ahead - later),
-               ahead * (ahead - earlier))  # fmt: skip
-    slopes = (2.0 * ahead - later, 2.0 * ahead - earlier - later, 2.0 * ahead - earlier)
-    curved = _combine(
-        tuple(weight / divisor for weight, divisor in zip(weights, divisors, strict=True)),
-        tuple(slope / divisor for slope, divisor in zip(slopes, divisors, strict=True)),
-        (position_px[0][rows, before], position, position_px[2][rows, after]),
-        (variance_px2[0][rows, before], variance, variance_px2[2][rows, after]),
-    )
+    # In both.
     found[:, through] = curved[:, through]
 
     vague = ~(found[1] <= MAX_SIGMA_PX**2)
     found[:2, vague], found[2:, vague] = np.nan, 0.0
     return AlignedReadings(*found)
+
+
+def _along_parabola(
+    steps_s: tuple[float, float],
+    ahead: float,
+    position_px: Array,
+    variance_px2: Array,
+    before: NDArray[np.intp],
+    after: NDArray[np.intp],
+) -> Array:
+    """Return readings along the parabola through the peaks of three exposures; as ``_combine``."""
+    earlier, later = steps_s
+    rows = np.arange(position_px.shape[1])[:, None]
+    position, variance = position_px[1], variance_px2[1]
+    apart = later - earlier
+    divisors = (-earlier * apart, earlier * later, later * apart)
+    weights = (ahead * (ahead - later), (ahead - earlier) * (ahead - later),
+               ahead * (ahead - earlier))  # fmt: skip
+    slopes = (2.0 * ahead - later, 2.0 * ahead - earlier - later, 2.0 * ahead - earlier)
+    return _combine(
+        tuple(weight / divisor for weight, divisor in zip(weights, divisors, strict=True)),
+        tuple(slope / divisor for slope, divisor in zip(slopes, divisors, strict=True)),
+        (position_px[0][rows, before], position, position_px[2][rows, after]),
+        (variance_px2[0][rows, before], variance, variance_px2[2][rows, after]),
+    )
 
 
 def _combine(
@@ -172,10 +189,6 @@ def _match(
     middle = position_px[1]
     sigma_rate = settings.max_rate_px_s / 3.0
     sigma_acceleration = settings.max_acceleration_px_s2 / 3.0
-    one = [
-        _nearest(position_px[index], middle, abs(step) * settings.max_rate_px_s)
-        for index, step in ((0, earlier), (2, later))
-    ]
     # All pairs of a peak before and one after: (S, K, before, after).
     before = position_px[0][:, None, :, None]
     after = position_px[2][:, None, None, :]
@@ -191,10 +204,12 @@ def _match(
     )
     rate = (after - before) / apart
     bend = misfit**2 / variance
-    cost = bend + (rate / sigma_rate) ** 2
     possible = (bend <= _GATE_SIGMA**2) & (np.abs(rate) <= settings.max_rate_px_s)
-    cost = np.where(possible, cost, np.inf)
     sensors, peaks = middle.shape
+    if possible.all() and peaks == 1:
+        first = np.zeros(middle.shape, dtype=np.intp)
+        return first, first, np.ones(middle.shape, dtype=np.bool_)
+    cost = np.where(possible, bend + (rate / sigma_rate) ** 2, np.inf)
     flat = cost.reshape(sensors, peaks, -1)
     best = flat.argmin(axis=2)
     found = np.isfinite(np.take_along_axis(flat, best[:, :, None], 2)[:, :, 0])
@@ -203,9 +218,10 @@ def _match(
     # One peak is one marker's: those that others claim, too, are not known.
     for index in chosen:
         found &= ~_claimed_twice(index)
-    before_index = np.where(found, chosen[0], one[0])
-    after_index = np.where(found, chosen[1], one[1])
-    return before_index.astype(np.intp), after_index.astype(np.intp), found
+    for which, step in ((0, earlier), (1, later)):
+        nearest = _nearest(position_px[2 * which], middle, abs(step) * settings.max_rate_px_s)
+        chosen[which] = np.where(found, chosen[which], nearest).astype(np.intp)
+    return chosen[0], chosen[1], found
 
 
 def _nearest(other: Array, position: Array, distance_px: float) -> NDArray[np.intp]:

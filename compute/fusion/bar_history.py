@@ -70,7 +70,12 @@ class BarHistory(Generic[T]):
         self.newest_ns = exposure.time_ns
 
     def is_ready(self, time_ns: int, slot: int | None) -> bool:
-        """Whether waiting longer brings nothing: the exposure behind the nearest one is there."""
+        """Whether waiting longer brings nothing: the exposure behind the nearest one is there.
+
+        Args:
+            time_ns: the wanted time [ns].
+            slot: strobe slot that was lit then; None: all markers.
+        """
         kept = self._slots.get(slot)
         return kept is not None and self._nearest(kept, time_ns) < len(kept) - 1
 

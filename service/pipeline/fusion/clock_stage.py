@@ -37,8 +37,11 @@ Array = NDArray[np.float64]
 
 BLOCK_NS: Final = 250_000_000
 """The clocks are refined from the points of that much at once."""
-INTERVAL_NS: Final = 2_000_000
-"""Of faster devices some points do: each costs as much as its triangulation."""
+INTERVAL_NS: Final = 4_000_000
+"""Of faster devices some frames do: each costs more than its triangulation."""
+NEGLIGIBLE_SIGMA: Final = 0.1
+"""What clocks do to no reading more than that many of its standard deviations is left out: half a
+percent of its point's."""
 _DOUBTFUL: Final = int(
     PointFlag.INCONSISTENT
     | PointFlag.AMBIGUOUS
@@ -177,17 +180,22 @@ class ClockStage:
             self._newest_ns is None
             or not 0 <= frame.exposure_host_ns - self._newest_ns < INTERVAL_NS
         )
-        readings = PointReadings.nearest(
-            model, points, exposure, rates_of(frame, exposure.position_px.shape[1])
-        )
+        rates = rates_of(frame, exposure.position_px.shape[1])
         bars = len(self._sigma_s)
+        covariance = self._estimate.covariance_s2
+        off_px = (
+            np.abs(rates.rate_px_s)
+            * np.sqrt(np.append(np.diagonal(covariance), 0.0))[frame.bar_of_sensor, None]
+        )
+        if not learns and (off_px**2 <= NEGLIGIBLE_SIGMA**2 * exposure.variance_px2).all():
+            return points
+        readings = PointReadings.nearest(model, points, exposure, rates)
         sensitivity = _widen(
             clock_sensitivity(
                 model, points, readings, frame.bar_of_sensor, with_common_errors=learns
             ),
             bars,
         )
-        covariance = self._estimate.covariance_s2
         grown = correct_points(points, sensitivity, np.zeros(bars), covariance)
         if learns:
             self._newest_ns = frame.exposure_host_ns

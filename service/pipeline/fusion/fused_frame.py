@@ -73,10 +73,11 @@ def join_peaks(frames: Sequence[LineFrame]) -> PeakBatch:
 
 def rates_of(frame: LineFrame, room: int) -> PeakRates:
     """Return the rates of a fused frame's peaks, with room for so many a scan."""
-    rates = vars(_fused(frame).rates)
-    return PeakRates(
-        *(np.pad(values, ((0, 0), (0, room - values.shape[1]))) for values in rates.values())
-    )
+    rates = _fused(frame).rates
+    missing = room - rates.rate_px_s.shape[1]
+    if not missing:
+        return rates
+    return PeakRates(*(np.pad(values, ((0, 0), (0, missing))) for values in vars(rates).values()))
 
 
 def _fused(frame: LineFrame) -> FusedFrame:

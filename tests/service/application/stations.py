@@ -64,7 +64,7 @@ class Process:
     @property
     def text(self) -> str:
         """What it has written."""
-        return self.log.read_text(encoding="utf-8")
+        return self.log.read_text(encoding="utf-8") if self.log.exists() else ""
 
     @property
     def alive(self) -> bool:
@@ -141,9 +141,14 @@ class GatewayServer(Process):
     def start(self) -> None:
         """Start it, and wait until it answers."""
         super().start()
-        wait_until(self._answers, "the gateway's start")
+        wait_until(self.answers, "the gateway's start")
 
-    def _answers(self) -> bool:
+    def begin(self) -> None:
+        """Start it, and wait for nothing."""
+        super().start()
+
+    def answers(self) -> bool:
+        """Whether it is ready."""
         assert self.alive, self.text
         try:
             return httpx.get(f"{self.url}/readyz", timeout=5.0).status_code == 200

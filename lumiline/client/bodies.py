@@ -342,6 +342,7 @@ class NewDevice(TypedDict):
         | GenicamSource
         | ExternalSource
     )
+    station: NotRequired[str | None]
     autostart: NotRequired[bool]
     tracking: NotRequired[Tracking]
 
@@ -350,6 +351,7 @@ class DeviceChange(TypedDict):
     """Changes of a device; a field left out stays as it is, of ``tracking`` too."""
 
     title: NotRequired[str]
+    station: NotRequired[str | None]
     source: NotRequired[
         SimulatedSource
         | ProfileSource

@@ -18,6 +18,7 @@ from tests.service.conftest import postgres_copy
 
 pytestmark = [pytest.mark.slow, pytest.mark.postgres]
 
+ROOT: Final = Path(__file__).parents[3]
 MARKERS_MM: Final = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (20.0, 15.0, 40.0))
 CENTRE_MM: Final = (0.0, 0.0, 1500.0)
 SOURCE: Final[dict[str, Any]] = {
@@ -38,11 +39,19 @@ class Hall:
     def __init__(self, folder: Path, database: str) -> None:
         self.folder = folder
         self.database = database
-        self.broker = NatsServer(folder)
+        # As it is delivered: what each may publish and read is what it needs.
+        configuration = (ROOT / "deploy" / "nats.conf").read_text(encoding="utf-8")
+        passwords = {f"{name}_PASSWORD": "secret" for name in ("GATEWAY", "DISPLAY")}
+        passwords |= {f"BAR_{number}_PASSWORD": "secret" for number in (1, 2)}
+        self.broker = NatsServer(
+            folder, configuration.replace("port: 4222", ""), environment=passwords
+        )
         self.broker.start()
-        self.station = Station("bar-1", folder, self.broker.url, database)
-        self.gateway = GatewayServer("gateway-1", folder, self.broker.url, database)
-        self.other = GatewayServer("gateway-2", folder, self.broker.url, database)
+        url = self.broker.url_of("bar-1", "secret")
+        self.station = Station("bar-1", folder, url, database)
+        url = self.broker.url_of("gateway", "secret")
+        self.gateway = GatewayServer("gateway-1", folder, url, database)
+        self.other = GatewayServer("gateway-2", folder, url, database)
 
     def close(self) -> None:
         for one in (self.gateway, self.other, self.station):

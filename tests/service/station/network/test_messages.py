@@ -109,7 +109,7 @@ def test_other_subjects_are_refused(text: str) -> None:
 
 
 def test_answers_have_subjects_of_their_gateway() -> None:
-    assert inbox_prefix("gateway-1") == "lumiline.v1.inbox.gateway-1"
+    assert inbox_prefix("gateway", "one") == "lumiline.v1.inbox.gateway.one"
 
 
 def same(one: Any, other: Any) -> bool:

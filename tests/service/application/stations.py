@@ -56,6 +56,10 @@ class Process:
 
     def start(self) -> None:
         """Start it."""
+        self.begin()
+
+    def begin(self) -> None:
+        """Start it, and wait for nothing."""
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(
                 self._command, stdout=log, stderr=log, env=self._environment
@@ -125,6 +129,8 @@ class GatewayServer(Process):
     ) -> None:
         port = free_port()
         self.url = f"http://{host}:{port}"
+        self.key: str | None = None
+        """Sent with each request; None: clients of this machine need none."""
         super().__init__(
             [
                 "serve", "--host", host, "--port", str(port),
@@ -140,12 +146,8 @@ class GatewayServer(Process):
 
     def start(self) -> None:
         """Start it, and wait until it answers."""
-        super().start()
+        self.begin()
         wait_until(self.answers, "the gateway's start")
-
-    def begin(self) -> None:
-        """Start it, and wait for nothing."""
-        super().start()
 
     def answers(self) -> bool:
         """Whether it is ready."""
@@ -159,10 +161,14 @@ class GatewayServer(Process):
         self, method: str, path: str, body: Any = None, timeout_s: float = 90.0
     ) -> httpx.Response:
         """Send a request."""
-        headers = {"if-match": "*"} if method == "PATCH" else {}
+        headers = self._headers | ({"if-match": "*"} if method == "PATCH" else {})
         return httpx.request(
             method, f"{self.url}/api/v1{path}", json=body, headers=headers, timeout=timeout_s
         )
+
+    @property
+    def _headers(self) -> dict[str, str]:
+        return {} if self.key is None else {"authorization": f"Bearer {self.key}"}
 
     def get(self, path: str) -> Any:
         """Return what there is."""
@@ -192,7 +198,7 @@ class GatewayServer(Process):
 
         url = f"{self.url.replace('http', 'ws')}/api/v1/stream"
         query = f"?device_id={device_id}&content={content}&encoding=json"
-        with connect(url + query, open_timeout=30.0) as websocket:
+        with connect(url + query, open_timeout=30.0, additional_headers=self._headers) as websocket:
             yield Messages(websocket)
 
 

@@ -26,7 +26,9 @@ SOURCE: Final[dict[str, Any]] = {
     "settings": {
         "scene": {
             "kind": "still-points",
-            "points_mm": [[a + b for a, b in zip(one, CENTRE_MM, strict=True)] for one in MARKERS_MM],
+            "points_mm": [
+                [a + b for a, b in zip(one, CENTRE_MM, strict=True)] for one in MARKERS_MM
+            ],
         },
         "frame_rate_hz": 200,
     },
@@ -77,9 +79,7 @@ def hold(gateway: GatewayServer) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def hall(
-    tmp_path_factory: pytest.TempPathFactory, new_postgres: str | None
-) -> Iterator[Hall]:
+def hall(tmp_path_factory: pytest.TempPathFactory, new_postgres: str | None) -> Iterator[Hall]:
     """Both bars of a hall: its device runs, with a tool and a beam hold."""
     if new_postgres is None:
         pytest.skip("databases may not be made in the PostgreSQL server for tests")
@@ -163,9 +163,7 @@ def test_activation_and_tools_are_the_stations_with_the_answer(hall: Hall) -> No
     database = Database(hall.database)
     with database.write() as session:
         row = session.scalars(select(CalibrationRow).limit(1)).one()
-        members = {
-            one.name: getattr(row, one.name) for one in CalibrationRow.__table__.columns
-        }
+        members = {one.name: getattr(row, one.name) for one in CalibrationRow.__table__.columns}
         before = row.id
         session.add(CalibrationRow(**members | {"id": "copy"}))
     database.close()

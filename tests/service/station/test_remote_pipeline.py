@@ -329,7 +329,9 @@ def test_device_that_did_not_start_is_not_started_again(pipeline: RemotePipeline
         pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED, refuse)
     pipeline.start_device("other", SimulatedDriver("other", LIVE), CALIBRATED)
     os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.stations[0].restarts == 1 and pipeline.status("other").state == "running")
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("other").state == "running"
+    )
     assert pipeline.status("sim").state == "stopped"
 
 
@@ -427,7 +429,9 @@ def test_station_that_cannot_be_started_is_tried_again(
 
     monkeypatch.setattr(StationStarter, "start", refuse_once)
     os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running")
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running"
+    )
     assert refused
     assert "no other station can be started now: no memory" in kept_log.text
 
@@ -545,7 +549,9 @@ def test_configuration_that_is_refused_keeps_no_device_from_its_restart(
 
     monkeypatch.setattr(RemotePipeline, "call", refuse_configuration)
     os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running")
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running"
+    )
     assert "does not follow its tools as before" in kept_log.text
 
 
@@ -581,7 +587,9 @@ def test_station_comes_back_when_what_forks_stations_ends_again_and_again(
 
     monkeypatch.setattr(StationStarter, "_start", fail_first)
     os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running")
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running"
+    )
     assert len(failed) == times
 
 

@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from service.station.network.clock_bound import ClockBound
 
 TRIPS = st.lists(
-    st.tuples(st.floats(0.0, 5.0), st.floats(0.0, 0.5), st.floats(0.0, 0.5)), min_size=1, max_size=40
+    st.tuples(st.floats(0.0, 5.0), st.floats(0.0, 0.5), st.floats(0.0, 0.5)),
+    min_size=1,
+    max_size=40,
 )
 """Pause before a question, and the times that it and its answer take."""
 

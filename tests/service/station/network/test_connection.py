@@ -2,6 +2,7 @@
 
 import asyncio
 import datetime
+import os
 import ssl
 from pathlib import Path
 
@@ -13,8 +14,8 @@ from cryptography.x509.oid import NameOID
 
 from service.problems.errors import StationNotReached
 from service.station.network.connection import BusConnection, BusOptions
-from service.station.network.outbox import QUEUE_BYTES, Outbox
 from service.station.network.envelope import unpack
+from service.station.network.outbox import QUEUE_BYTES, Outbox
 from tests.nats_server import NatsServer
 from tests.service.station.network.conftest import eventually
 
@@ -64,7 +65,7 @@ def test_broker_that_hangs_is_lost(broker: NatsServer) -> None:
 def test_requests_are_answered_or_say_why_not(broker: NatsServer) -> None:
     async def run() -> None:
         one = connection(BusOptions((broker.url,)))
-        with pytest.raises(StationNotReached, match="the bus at .* is not reached"):
+        with pytest.raises(StationNotReached, match=r"the bus at .* is not reached"):
             await one.request("lumiline.v1.bar.call.start", b"", 1.0)
         one.open()
         await eventually(lambda: one.connected)
@@ -232,7 +233,7 @@ def test_outbox_waits_for_no_broker_and_counts_what_nobody_took(broker: NatsServ
             outbox.collect(("batch", "bar"), b"a frame", 1)
         await eventually(lambda: taken == [0])  # together
         broker.freeze()
-        megabyte = bytes(900_000)
+        megabyte = os.urandom(900_000)
         for _ in range(60):
             outbox.put(("batch", "bar"), megabyte)
             await asyncio.sleep(0.001)

@@ -28,11 +28,17 @@ def received(reader: Reassembly, parts: list[bytes]) -> tuple[int, list[bytes]]:
 
 
 @settings(max_examples=80)
-@given(MESSAGES, st.integers(0, 2**40), st.floats(0.0, 1e9), st.integers(ROOM + 64, 1200))
+@given(
+    MESSAGES,
+    st.integers(0, 2**40),
+    st.floats(0.0, 1e9),
+    st.integers(ROOM + 64, 1200),
+    st.booleans(),
+)
 def test_messages_come_back_in_whatever_parts(
-    messages: tuple[bytes, ...], number: int, sent_s: float, limit: int
+    messages: tuple[bytes, ...], number: int, sent_s: float, limit: int, compressed: bool
 ) -> None:
-    parts = pack(Envelope("one", number, sent_s, messages), limit)
+    parts = pack(Envelope("one", number, sent_s, messages), limit, compressed=compressed)
     assert all(len(part) <= limit for part in parts)
     assert [unpack(part).number for part in parts] == list(range(number, number + len(parts)))
     assert {unpack(part).sent_s for part in parts} == {sent_s}
@@ -81,16 +87,27 @@ def test_another_incarnation_begins_anew() -> None:
         b"\xc1",
         msgpack.packb(5),
         msgpack.packb([]),
-        msgpack.packb([2, "one", 0, 0.0, 0, 1, []]),  # of another version
-        msgpack.packb([1, "one", 0, 0.0, 1, 1, []]),  # the second part of one
-        msgpack.packb([1, "one", 0, 0.0, 0, 1, [3]]) + b"ab",  # cut short
-        msgpack.packb([1, "one", "0", 0.0, 0, 1, []]),
-        msgpack.packb([1, "one", 0, 0.0, 0, 1, 7]),
+        msgpack.packb([2, "one", 0, 0.0, 0, 1, False, []]),  # of another version
+        msgpack.packb([1, "one", 0, 0.0, 1, 1, False, []]),  # the second part of one
+        msgpack.packb([1, "one", 0, 0.0, 0, 1, False, [3]]) + b"ab",  # cut short
+        msgpack.packb([1, "one", "0", 0.0, 0, 1, False, []]),
+        msgpack.packb([1, "one", 0, 0.0, 0, 1, False, 7]),
     ],
 )
 def test_other_bytes_are_refused(data: bytes) -> None:
     with pytest.raises(NotAnEnvelope, match="no message of the bus"):
         unpack(data)
+
+
+def test_no_more_is_unpacked_than_is_said_and_no_less() -> None:
+    (part,) = pack(Envelope("one", 0, 0.0, (bytes(10**6),)), 1 << 20, compressed=True)
+    for said in (10, 10**7):
+        forged = part.replace(msgpack.packb([10**6]), msgpack.packb([said]))
+        assert forged != part
+        with pytest.raises(NotAnEnvelope, match="bytes of"):
+            Reassembly().take(unpack(forged))
+    with pytest.raises(NotAnEnvelope):
+        Reassembly().take(unpack(msgpack.packb([1, "one", 0, 0.0, 0, 1, True, [3]]) + b"abc"))
 
 
 def test_a_broker_that_takes_nothing_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import select
 import shutil
 import socket
 import subprocess
@@ -134,25 +135,38 @@ class DatabaseProxy:
             self._listener = socket.create_server((network.address(network.names[0]), 5432))
         host = network.address(network.names[0])
         self.url = target.set(host=host, port=5432).render_as_string(hide_password=False)
-        threading.Thread(target=self._accept, daemon=True).start()
+        self._threads = [threading.Thread(target=self._accept)]
+        self._open: list[socket.socket] = []
+        self._threads[0].start()
 
     def _accept(self) -> None:
-        with suppress(OSError):
-            while True:
+        while True:
+            try:
                 near, _ = self._listener.accept()
-                far = socket.create_connection(self._target)
-                for one, other in ((near, far), (far, near)):
-                    threading.Thread(target=_copy, args=(one, other), daemon=True).start()
+            except OSError:
+                return
+            far = socket.create_connection(self._target)
+            self._open += [near, far]
+            self._threads.append(threading.Thread(target=_pass_on, args=(near, far)))
+            self._threads[-1].start()
 
     def close(self) -> None:
         """End it."""
+        for one in (self._listener, *self._open):
+            with suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+        for thread in tuple(self._threads):
+            thread.join()
         self._listener.close()
 
 
-def _copy(source: socket.socket, target: socket.socket) -> None:
-    with suppress(OSError):
-        while data := source.recv(65536):
-            target.sendall(data)
-    for one in (source, target):
-        with suppress(OSError):
-            one.shutdown(socket.SHUT_RDWR)
+def _pass_on(near: socket.socket, far: socket.socket) -> None:
+    """Pass on what comes from either, until one of them ends."""
+    others = {near: far, far: near}
+    with near, far, suppress(OSError):
+        while True:
+            for one in select.select(list(others), [], [])[0]:
+                data = one.recv(65536)
+                if not data:
+                    return
+                others[one].sendall(data)

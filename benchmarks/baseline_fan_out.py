@@ -45,7 +45,7 @@ class _Connection(asyncio.Protocol):
                 if len(self._data) < begin + size + 2:
                     return
                 message = b"MSG %b 1 %d\r\n%b" % (
-                    words[1], size, self._data[begin : begin + size + 2],
+                    words[1], size, bytes(self._data[begin : begin + size + 2]),
                 )  # fmt: skip
                 for one in tuple(self.readers):
                     one.send(message)

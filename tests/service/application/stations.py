@@ -193,11 +193,11 @@ class GatewayServer(Process):
 
     @contextmanager
     def stream(self, device_id: str, content: str = "points") -> Iterator["Messages"]:
-        """Yield the messages of a stream."""
+        """Yield the messages of a stream, every one: this machine may be busy."""
         from websockets.sync.client import connect
 
         url = f"{self.url.replace('http', 'ws')}/api/v1/stream"
-        query = f"?device_id={device_id}&content={content}&encoding=json"
+        query = f"?device_id={device_id}&content={content}&encoding=json&mode=lossless"
         with connect(url + query, open_timeout=30.0, additional_headers=self._headers) as websocket:
             yield Messages(websocket)
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import pytest
 from sqlalchemy import select
+from sqlalchemy.engine import make_url
 
 from hardware.recording.reader import RecordingReader
 from service.database.engine import Database
@@ -50,7 +51,11 @@ class Hall:
         )
         self.broker.start()
         url = self.broker.url_of("bar-1", "secret")
-        self.station = Station("bar-1", folder, url, database)
+        # It writes nothing there.
+        reading = make_url(database).update_query_dict(
+            {"options": "-cdefault_transaction_read_only=on"}
+        )
+        self.station = Station("bar-1", folder, url, reading.render_as_string(hide_password=False))
         url = self.broker.url_of("gateway", "secret")
         self.gateway = GatewayServer("gateway-1", folder, url, database)
         self.other = GatewayServer("gateway-2", folder, url, database)

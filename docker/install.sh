@@ -9,7 +9,7 @@ here=$(dirname "$0")
 test -x "$venv/bin/python" || "$python" -m venv "$venv"
 PIP_CONSTRAINT=$source_dir/constraints.txt PIP_BUILD_CONSTRAINT=$source_dir/constraints.txt \
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
-    "$source_dir/lumiline" "${source_dir}[export]"
+    "$source_dir/lumiline" "${source_dir}[bus,export]"
 for name in start healthcheck; do
     install -m 755 "$here/$name.sh" "$venv/bin/lumiline-$name"
 done

@@ -4,6 +4,7 @@ import difflib
 import os
 import sys
 from dataclasses import dataclass
+from importlib.util import find_spec
 from ipaddress import ip_network
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -242,6 +243,8 @@ class Settings(BaseSettings):
         ways = (self.bus_nkey_seed, self.bus_credentials, self.bus_token_file)
         if sum(way is not None for way in ways) > 1:
             raise ValueError("give one of bus_nkey_seed, bus_credentials and bus_token_file")
+        if self.bus_url is not None and find_spec("nats") is None:
+            raise ValueError("bus_url needs a library: pip install 'lumiline[bus]'")
         if self.bus_url is None and (self.bus_ca, *ways) != (None,) * 4:
             raise ValueError("settings of the bus need a bus_url")
         _check_reach("openigtlink", self.openigtlink_host, self.openigtlink_allow)

@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -25,9 +26,18 @@ class NatsServer:
         folder: gets its configuration and its log.
         configuration: lines beside the address.
         host: address that it listens on.
+        environment: variables that its configuration names.
+        before: words before the command, such as those of another network namespace.
     """
 
-    def __init__(self, folder: Path, configuration: str = "", host: str = "127.0.0.1") -> None:
+    def __init__(
+        self,
+        folder: Path,
+        configuration: str = "",
+        host: str = "127.0.0.1",
+        environment: Mapping[str, str] | None = None,
+        before: tuple[str, ...] = (),
+    ) -> None:
         program = shutil.which("nats-server")
         if program is None:
             reason = "there is no nats-server; install the package of that name"
@@ -39,22 +49,30 @@ class NatsServer:
         self.log = folder / "nats.log"
         self._file = folder / "nats.conf"
         self._file.write_text(f'listen: "{host}:{self.port}"\n{configuration}\n', encoding="utf-8")
-        self._command = [program, "-c", str(self._file)]
+        self._host = host
+        self._environment = os.environ | dict(environment or {})
+        self._command = [*before, program, "-c", str(self._file)]
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
         """Start it, and wait until it listens."""
         with self.log.open("ab") as log:
-            self._process = subprocess.Popen(self._command, stdout=log, stderr=log)
+            self._process = subprocess.Popen(
+                self._command, stdout=log, stderr=log, env=self._environment
+            )
         end = time.monotonic() + 60.0
         while True:
             try:
-                with socket.create_connection(("127.0.0.1", self.port), 1.0):
+                with socket.create_connection((self._host, self.port), 1.0):
                     return
             except OSError:
                 assert self._process.poll() is None, self.log.read_text(encoding="utf-8")
                 assert time.monotonic() < end, "nats-server did not start"
                 time.sleep(0.02)
+
+    def url_of(self, user: str, password: str) -> str:
+        """Return the URL for a user."""
+        return self.url.replace("//", f"//{user}:{password}@")
 
     def kill(self) -> None:
         """End it at once."""

@@ -367,6 +367,7 @@ class NewDevice(TypedDict):
         | FusionSource
         | ExternalSource
     )
+    station: NotRequired[str | None]
     autostart: NotRequired[bool]
     tracking: NotRequired[Tracking]
 
@@ -375,6 +376,7 @@ class DeviceChange(TypedDict):
     """Changes of a device; a field left out stays as it is, of ``tracking`` too."""
 
     title: NotRequired[str]
+    station: NotRequired[str | None]
     source: NotRequired[
         SimulatedSource
         | ProfileSource

@@ -353,6 +353,7 @@ class Device(ResponseModel):
 
     id: str
     title: str
+    station: str | None
     source: (
         SimulatedSource
         | ProfileSource
@@ -2359,6 +2360,22 @@ class Setting(ResponseModel):
     value: Any
     is_default: bool
     description: str
+
+
+class Station(ResponseModel):
+    """A process that devices belong to."""
+
+    name: str | None
+    state: str
+    reason: str | None
+    since: datetime | None
+    host: str | None
+    devices: int
+    restarts: int
+    messages_missed: int
+    memory_bytes: int
+    cpu_s: float
+    round_trip_ms: float | None
 
 
 class Backup(ResponseModel):

@@ -1333,6 +1333,11 @@ class Operations(Exchanges):
         return await self._get_all(models.Setting, "/api/v1/settings", limit=limit)
 
     @ClientMethod
+    async def stations(self, *, limit: int | None = None) -> list[models.Station]:
+        """Stations and how they stand."""
+        return await self._get_all(models.Station, "/api/v1/stations", limit=limit)
+
+    @ClientMethod
     async def backups(self, *, limit: int | None = None) -> list[models.Backup]:
         """Backups of this server."""
         return await self._get_all(models.Backup, "/api/v1/backups", limit=limit)

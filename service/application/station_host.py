@@ -87,9 +87,9 @@ class StationHost:
     async def run(self, stop: asyncio.Event) -> None:
         """Be the station until ``stop`` is set."""
         loop = asyncio.get_running_loop()
-        name = f"station-{self._name}-{token_hex(4)}"
+        who, process = f"station-{self._name}", token_hex(6)
         self._connection = BusConnection(
-            bus_options(self._settings), name, inbox_prefix(name), self._bus_changed
+            bus_options(self._settings), who, inbox_prefix(who, process), self._bus_changed
         )
         self._loop = loop
         self._outbox = Outbox(

@@ -18,6 +18,7 @@ BENCHMARKS: Final = {
     "hold": "a patient who moves, to the signal that holds the beam: latency, missed, false",
     "hostile-bodies": "the worst bodies of each scope: stalls of a stream, hold statuses, /healthz",
     "stalled-clients": "ten clients of a stream, without and with 100 others that never read",
+    "bus": "a station at 5 kHz to 200 subscribers over NATS, beside a bare relay; 20 stalled ones",
     "dashboard": "the page in Chromium, visible and hidden: share of a core, delay, memory",
     "signal": "raw scans to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
@@ -32,7 +33,7 @@ BENCHMARKS: Final = {
 }
 _OF_A_SERVICE: Final = (
     *("live", "latency", "load", "openigtlink", "navigation", "hold", "hostile-bodies"),
-    *("stalled-clients", "dashboard", "decoder", "clock", "rate"),
+    *("stalled-clients", "bus", "rate", "dashboard", "decoder", "clock"),
 )
 LOAD_RATE_HZ: Final = 5000.0
 _MODULES: Final = {
@@ -42,7 +43,7 @@ _MODULES: Final = {
 _ON_A_DEVICE: Final = ("signal", "reconstruct", "rays")
 _TIMED: Final = (
     *("live", "latency", "load", "openigtlink", "navigation", "hold", "stalled-clients"),
-    *("dashboard", "rate"),
+    *("bus", "rate", "dashboard"),
 )
 
 

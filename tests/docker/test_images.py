@@ -160,3 +160,35 @@ def test_a_start_without_a_data_directory_is_refused(installed: Path):
     )
     assert done.returncode != 0
     assert "LUMILINE_DATA_DIR" in done.stderr
+
+
+HALL: dict[str, Any] = yaml.safe_load((DOCKER / "compose.hall.yaml").read_text())
+
+
+def test_hall_runs_stations_without_ports_and_servers_for_this_machine_only():
+    services = HALL["services"]
+    for name in ("bar-1", "bar-2"):
+        assert services[name]["command"] == ["station"]
+        assert services[name]["environment"]["LUMILINE_STATION_NAME"] == name
+        assert "ports" not in services[name]
+    for name in ("gateway-1", "gateway-2"):
+        assert services[name]["environment"]["LUMILINE_STATION"] == "none"
+        assert all(port.startswith("127.0.0.1:") for port in services[name]["ports"])
+    for name in ("bar-1", "bar-2", "gateway-1", "gateway-2"):
+        assert services[name]["read_only"] is True
+        assert services[name]["volumes"] == [f"{name}:/var/lib/lumiline"]
+        for setting in services[name]["environment"]:
+            assert setting.removeprefix("LUMILINE_").lower() in Settings.model_fields
+    assert services["database"].get("ports") is services["nats"].get("ports") is None
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd")
+def test_the_unit_of_a_station_is_one(tmp_path: Path):
+    text = (ROOT / "deploy" / "lumiline-station.service").read_text()
+    unit = tmp_path / "lumiline-station.service"
+    unit.write_text(text.replace("/opt/lumiline/bin/lumiline-start", "/bin/true"))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", str(unit)], capture_output=True, text=True
+    )
+    complaints = [line for line in done.stderr.splitlines() if "lumiline-station" in line]
+    assert (done.returncode, complaints) == (0, [])

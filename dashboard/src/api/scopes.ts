@@ -76,6 +76,7 @@ export const OPERATION_SCOPES = {
   "GET /api/v1/runs": "read:calibration",
   "GET /api/v1/runs/{run_id}": "read:calibration",
   "GET /api/v1/settings": "read:audit",
+  "GET /api/v1/stations": "read:stream",
   "GET /api/v1/stream-clients": "read:audit",
   "GET /api/v1/tools": "read:stream",
   "GET /api/v1/tools/{tool_id}": "read:stream",

@@ -138,6 +138,20 @@ def _errors() -> dict[str, type[LumilineError]]:
     return known
 
 
-DEADLINE_S: Final[Mapping[str, float]] = {"start": 60.0, "sensors": 60.0, "apply": 30.0}
+DEADLINE_S: Final[Mapping[str, float]] = {
+    "start": 60.0,
+    "sensors": 60.0,
+    "apply": 30.0,
+    "hello": 1.0,
+    "refresh": 1.0,
+}
 """How long a call may take; all others ``CALL_S``."""
 CALL_S: Final = 10.0
+LOST_CALL_S: Final = 1.0
+"""How long a call to a station may take that is lost: it may be back without a word yet."""
+
+
+def deadline_s(method: str, *, lost: bool) -> float:
+    """Return how long a call may take [s]."""
+    known_s = DEADLINE_S.get(method, CALL_S)
+    return min(known_s, LOST_CALL_S) if lost else known_s

@@ -30,12 +30,11 @@ from service.station.network.clock_bound import ClockBound
 from service.station.network.connection import BusConnection
 from service.station.network.envelope import Reassembly, unpack
 from service.station.network.messages import (
-    CALL_S,
-    DEADLINE_S,
     BadRequest,
     Positions,
     Presence,
     Reply,
+    deadline_s,
     pack_request,
     read_presence,
     read_reply,
@@ -225,7 +224,7 @@ class NetworkPipeline(StationMirror):
             members["gateway"] = self._gateway
             self._follow_pixels()
         asked = asyncio.run_coroutine_threadsafe(self._ask(method, args, members), self._loop)
-        reply = asked.result(DEADLINE_S.get(method, CALL_S) + PASS_S)
+        reply = asked.result(deadline_s(method, lost=False) + PASS_S)
         self._wait_for(reply)
         if reply.error is not None:
             raise reply.error
@@ -308,7 +307,7 @@ class NetworkPipeline(StationMirror):
         self._readers.shutdown(wait=False, cancel_futures=True)
 
     async def _ask(self, method: str, args: Any, members: Any) -> Reply:
-        timeout_s = DEADLINE_S.get(method, CALL_S)
+        timeout_s = deadline_s(method, lost=self._lost is not None)
         try:
             answer = await self._connection.request(
                 subject(self.name, CALL, method), pack_request(args, members), timeout_s
@@ -365,7 +364,8 @@ class NetworkPipeline(StationMirror):
 
     async def _keep_asking(self) -> None:
         while True:
-            await self._say_hello()
+            # Not waited for: that it is lost shows by its silence.
+            self._soon(self._say_hello)
             await asyncio.sleep(ASK_S)
             heard_s = self._heard_s
             if self._lost is None and heard_s is not None:

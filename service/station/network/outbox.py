@@ -15,8 +15,10 @@ from typing import Final
 from service.station.network.connection import BACKLOG_BYTES, BusConnection
 from service.station.network.envelope import Envelope, pack
 from service.station.network.messages import Positions
-from service.station.network.subjects import subject
+from service.station.network.subjects import BATCH, subject
 
+COMPRESSED_BYTES: Final = 1024
+"""Frames of so many bytes are compressed: most of a frame is room for peaks that it has not."""
 MAX_FRAMES: Final = 50
 """Frames that go together at most."""
 QUEUE_BYTES: Final = 16 << 20
@@ -66,7 +68,8 @@ class Outbox:
         """
         number = self._numbers[words]
         envelope = Envelope(self.incarnation, number, time.monotonic(), messages)
-        parts = pack(envelope, self._connection.max_payload)
+        compressed = words[0] == BATCH and sum(map(len, messages)) >= COMPRESSED_BYTES
+        parts = pack(envelope, self._connection.max_payload, compressed=compressed)
         self._numbers[words] = number + len(parts)
         if not self._connection.connected:
             self.dropped += len(parts)

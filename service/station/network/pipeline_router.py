@@ -132,7 +132,7 @@ class PipelineRouter:
         )
         """Whether beams are held."""
         self._connection = BusConnection(
-            options, self._gateway, inbox_prefix(self._gateway), self._bus_changed
+            options, self._gateway, inbox_prefix("gateway", self._gateway), self._bus_changed
         )
         self._begun = self._loop.create_task(self._begin())
         streams.on_clients(self._clients_changed)

@@ -34,9 +34,14 @@ def subject(station: str, kind: str, *words: str) -> str:
     return ".".join((PREFIX, station, kind, *words))
 
 
-def inbox_prefix(gateway: str) -> str:
-    """Return what the subjects of answers to a gateway begin with."""
-    return f"{PREFIX}.{INBOX}.{gateway}"
+def inbox_prefix(who: str, process: str) -> str:
+    """Return what the subjects of answers to a process begin with.
+
+    Args:
+        who: "gateway", or a station's name behind "station-": what permissions are given to.
+        process: another for each process.
+    """
+    return f"{PREFIX}.{INBOX}.{who}.{process}"
 
 
 def split_subject(text: str) -> tuple[str, str, str | None]:

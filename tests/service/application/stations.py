@@ -56,6 +56,10 @@ class Process:
 
     def start(self) -> None:
         """Start it."""
+        self.begin()
+
+    def begin(self) -> None:
+        """Start it, and wait for nothing."""
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(
                 self._command, stdout=log, stderr=log, env=self._environment
@@ -64,7 +68,7 @@ class Process:
     @property
     def text(self) -> str:
         """What it has written."""
-        return self.log.read_text(encoding="utf-8")
+        return self.log.read_text(encoding="utf-8") if self.log.exists() else ""
 
     @property
     def alive(self) -> bool:
@@ -125,6 +129,8 @@ class GatewayServer(Process):
     ) -> None:
         port = free_port()
         self.url = f"http://{host}:{port}"
+        self.key: str | None = None
+        """Sent with each request; None: clients of this machine need none."""
         super().__init__(
             [
                 "serve", "--host", host, "--port", str(port),
@@ -140,10 +146,11 @@ class GatewayServer(Process):
 
     def start(self) -> None:
         """Start it, and wait until it answers."""
-        super().start()
-        wait_until(self._answers, "the gateway's start")
+        self.begin()
+        wait_until(self.answers, "the gateway's start")
 
-    def _answers(self) -> bool:
+    def answers(self) -> bool:
+        """Whether it is ready."""
         assert self.alive, self.text
         try:
             return httpx.get(f"{self.url}/readyz", timeout=5.0).status_code == 200
@@ -154,10 +161,14 @@ class GatewayServer(Process):
         self, method: str, path: str, body: Any = None, timeout_s: float = 90.0
     ) -> httpx.Response:
         """Send a request."""
-        headers = {"if-match": "*"} if method == "PATCH" else {}
+        headers = self._headers | ({"if-match": "*"} if method == "PATCH" else {})
         return httpx.request(
             method, f"{self.url}/api/v1{path}", json=body, headers=headers, timeout=timeout_s
         )
+
+    @property
+    def _headers(self) -> dict[str, str]:
+        return {} if self.key is None else {"authorization": f"Bearer {self.key}"}
 
     def get(self, path: str) -> Any:
         """Return what there is."""
@@ -182,12 +193,12 @@ class GatewayServer(Process):
 
     @contextmanager
     def stream(self, device_id: str, content: str = "points") -> Iterator["Messages"]:
-        """Yield the messages of a stream."""
+        """Yield the messages of a stream, every one: this machine may be busy."""
         from websockets.sync.client import connect
 
         url = f"{self.url.replace('http', 'ws')}/api/v1/stream"
-        query = f"?device_id={device_id}&content={content}&encoding=json"
-        with connect(url + query, open_timeout=30.0) as websocket:
+        query = f"?device_id={device_id}&content={content}&encoding=json&mode=lossless"
+        with connect(url + query, open_timeout=30.0, additional_headers=self._headers) as websocket:
             yield Messages(websocket)
 
 

@@ -4,10 +4,11 @@ import { api, type Schemas, sent } from "../../api/client";
 import { devices } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
-import { significant, time } from "../../ui/format";
+import { bytes, significant, time } from "../../ui/format";
 import { Action, Badge, Failure, Panel, Table, Why } from "../../ui/parts";
 import { Load } from "./load";
 import { LogLines } from "./log_lines";
+import { kindOf, remoteStations } from "./stations";
 
 type DeviceStatus = Schemas["DeviceStateDocument"];
 
@@ -22,6 +23,7 @@ export function Health() {
   return (
     <>
       <ServerState />
+      <Stations />
       <Devices />
       <Load />
       <Runs />
@@ -46,6 +48,37 @@ function ServerState() {
           ))}
         </ul>
       ) : null}
+    </Panel>
+  );
+}
+
+/** Nothing where all devices are this server's own. */
+function Stations() {
+  const stations = usePolled("stations", () => sent(api.GET("/api/v1/stations", { params: { query: { limit: 100 } } })), 2);
+  const rows = remoteStations(stations.value?.items ?? []);
+  if (!rows.length) return null;
+  return (
+    <Panel title={text.health.stations}>
+      <Failure message={stations.error} />
+      <p class="muted">{text.health.stationsHelp}</p>
+      <Table
+        caption={text.health.stations}
+        columns={[text.health.station, text.column.state, text.column.reason, text.health.sinceWhen, text.health.machine, text.health.devicesOf, text.health.roundTrip, text.health.memory, text.health.notes]}
+        rows={rows}
+        identity={({ name }) => name ?? ""}
+        empty={text.missing}
+        row={(station) => [
+          station.name,
+          <Badge kind={kindOf(station)}>{station.state}</Badge>,
+          station.reason ?? "",
+          time(station.since),
+          station.host ?? text.missing,
+          station.devices,
+          significant(station.round_trip_ms, 2),
+          bytes(station.memory_bytes),
+          `${text.health.restarts(station.restarts)}, ${text.health.busMissed(station.messages_missed)}`,
+        ]}
+      />
     </Panel>
   );
 }

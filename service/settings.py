@@ -89,6 +89,9 @@ class Settings(BaseSettings):
     needs the right to it."""
     station_cores: tuple[Annotated[int, Field(ge=0)], ...] = ()
     """Numbers of the cores that process may use; none: all."""
+    gateway_devices: bool = True
+    """Whether this server may have the devices where several share a PostgreSQL database; one of
+    them has, and another takes them when it ends. Without: what is attached to another machine."""
     stream_kept_messages: int = Field(default=10_000, ge=1)
     """Messages of each device that are kept for stream clients which are behind or come back."""
     stream_lag_s: float = Field(default=1.0, ge=0.0, allow_inf_nan=False)

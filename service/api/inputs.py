@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from fastapi import Depends, Path, Query, Request
 from fastapi.routing import APIRoute
@@ -15,9 +15,10 @@ from service.api.idempotency import once, takes_key
 from service.api.json_body import INLINE_BYTES, BodyReader, check_json_body, validate_text
 from service.api.preconditions import members_apart, tagged
 from service.database.engine import Database
+from service.database.gateway import DEVICES, Gateway
 from service.jobs.run_manager import RunManager
 from service.pipeline.interface import Pipeline
-from service.problems.errors import NotReady
+from service.problems.errors import DeviceElsewhere, NotReady
 from service.settings import Settings
 
 
@@ -34,11 +35,36 @@ def _live(request: Request) -> Pipeline:
     live: Pipeline | None = request.app.state.live
     if live is None:
         raise NotReady("the live pipeline does not run; restart the server", part="live")
+    gateway: Gateway = request.app.state.gateway
+    if not gateway.holds(DEVICES):
+        return cast("Pipeline", _Elsewhere(gateway))
     return live
+
+
+class _Elsewhere:
+    """Refuses whatever is asked of the pipeline: another gateway has the devices."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+
+    def __getattr__(self, _name: str) -> Any:
+        raise elsewhere(self._gateway)
+
+
+def elsewhere(gateway: Gateway, device_id: str | None = None) -> DeviceElsewhere:
+    """Return the error where another gateway than this one has the devices."""
+    holder = gateway.holder(DEVICES)
+    if holder is None:
+        where = "no gateway has the devices now; one takes them within seconds, so ask again"
+    else:
+        where = f'gateway "{holder}" has the devices, and this is "{gateway.name}": ask that one'
+    context = {} if device_id is None else {"device_id": device_id}
+    return DeviceElsewhere(where, **context, gateway=holder)
 
 
 DatabaseDep = Annotated[Database, of_application("database")]
 LiveDep = Annotated[Pipeline, Depends(_live)]
+GatewayDep = Annotated[Gateway, of_application("gateway")]
 RunsDep = Annotated[RunManager, of_application("runs")]
 SettingsDep = Annotated[Settings, of_application("settings")]
 

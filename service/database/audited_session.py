@@ -9,6 +9,7 @@ from sqlalchemy import event, inspect
 from sqlalchemy.orm import ORMExecuteState, Session, UOWTransaction
 
 from service.database.models import (
+    TRANSIENT,
     ActivationRow,
     ActiveCalibrationRow,
     ApiKeyRow,
@@ -43,7 +44,11 @@ _REDACTED_COLUMNS: Final = frozenset(
     }
 )
 _SILENT_TABLES: Final = frozenset(
-    {ActiveCalibrationRow.__tablename__, IdempotencyKeyRow.__tablename__}
+    {
+        ActiveCalibrationRow.__tablename__,
+        IdempotencyKeyRow.__tablename__,
+        *(name for name, table in Base.metadata.tables.items() if TRANSIENT in table.info),
+    }
 )
 _POINTER: Final = ("calibration_id", "table_id")
 _RADIOMETRIC_POINTER: Final = ("radiometric_id",)

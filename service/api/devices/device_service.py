@@ -18,7 +18,9 @@ from service.api.devices.nominal_source import nominal_mismatch, same_simulation
 from service.api.devices.schema import (
     Device,
     DeviceChange,
+    ExternalSource,
     NewDevice,
+    SimulatedSource,
     Source,
     check_connected_sensors,
     check_sensors,
@@ -31,9 +33,10 @@ from service.api.devices.store import (
     move_pointer,
     previous_activation,
 )
-from service.api.inputs import of_application
+from service.api.inputs import elsewhere, of_application
 from service.api.preconditions import Precondition
 from service.database.engine import Database
+from service.database.gateway import DEVICES, Gateway
 from service.database.models import CalibrationRow, DeviceRow, HoldRow
 from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiometric
 from service.pipeline.device_status import DeviceStatus
@@ -72,8 +75,10 @@ class DeviceService:
         live: Pipeline,
         folders: DataFolders,
         stored: StoredContent,
+        gateway: Gateway | None = None,
     ) -> None:
         self._database = database
+        self._gateway = Gateway() if gateway is None else gateway
         self._stored = stored
         self._live = live
         self._folders = folders
@@ -88,12 +93,23 @@ class DeviceService:
         with lock:
             yield
 
+    def check_here(self, device_id: str) -> None:
+        """Raise DeviceElsewhere where another gateway has the devices."""
+        if not self._gateway.holds(DEVICES):
+            raise elsewhere(self._gateway, device_id)
+
+    def _check_openable(self, device_id: str, source: Source) -> None:
+        """Raise DeviceElsewhere where only another gateway can open a source."""
+        if not isinstance(source, ExternalSource | SimulatedSource):
+            self.check_here(device_id)
+
     def create(self, request: NewDevice) -> Device:
         """Create a device; its sensors come from its driver where it has one.
 
         Raises:
-            DeviceExists, or what the driver raises when it is opened.
+            DeviceExists, DeviceElsewhere, or what the driver raises when it is opened.
         """
+        self._check_openable(request.id, request.source)
         sensors = sensors_of(request.id, request.source, self._folders)
         with self._exclusive(request.id), self._database.write() as session:
             return store.document(session, store.add_device(session, request, sensors))
@@ -109,6 +125,7 @@ class DeviceService:
             store.get_device(session, device_id)
         sensors = None
         if "source" in change.model_fields_set:
+            self.check_here(device_id)  # which knows whether it runs
             sensors = sensors_of(device_id, change.source, self._folders)
         with self._exclusive(device_id):
             # Before the transaction: the live side may be busy starting another device.
@@ -122,8 +139,11 @@ class DeviceService:
                     self._refuse_if_nominal(session, device_id, change.source)
                 changed = store.document(session, row)
                 tracked = self._stored.tracking_config(session, row)
-            if "tracking" in change.model_fields_set:
-                self._apply_tracking_config(device_id, tracked)
+                retracked = "tracking" in change.model_fields_set
+                if retracked:
+                    number = self._gateway.announce_change(session, device_id)
+            if retracked:
+                self._apply_tracking_config(device_id, tracked, number)
             return changed
 
     def _refuse_if_nominal(self, session: Session, device_id: str, source: Source) -> None:
@@ -149,18 +169,23 @@ class DeviceService:
                 row = store.get_device(session, device_id, lock=True)
                 expected.check(store.document(session, row))
                 store.delete_device(session, device_id, cascade=cascade)
-            self._live.forget_device(device_id)
+                number = self._gateway.announce_change(session, device_id)
+            if number is None:
+                self._live.forget_device(device_id)
+            else:
+                self._wait_followed(device_id, number)
 
     def start(self, device_id: str) -> DeviceStatus:
         """Start a device with its active calibration, again if it is running.
 
         Raises:
-            UnknownDevice, DeviceWithoutDriver, SensorsChanged, or what the driver raises when it
-            is opened. A device that is unplugged is no error: it is waited for.
+            UnknownDevice, DeviceWithoutDriver, SensorsChanged, DeviceElsewhere, or what the driver
+            raises when it is opened. A device that is unplugged is no error: it is waited for.
         """
         with self._exclusive(device_id):
             with self._database.read() as session:
                 row = store.get_device(session, device_id)
+                self.check_here(device_id)
                 source = store.source_of(row)
                 found = self._active(session, device_id)
                 stored = store.sensors_of_row(row)
@@ -173,8 +198,13 @@ class DeviceService:
             return self._live.status(device_id)
 
     def stop(self, device_id: str) -> DeviceStatus:
-        """Stop a device, also while the database does not answer; raises UnknownDevice."""
+        """Stop a device, also while the database does not answer.
+
+        Raises:
+            UnknownDevice, DeviceElsewhere.
+        """
         with self._exclusive(device_id):
+            self.check_here(device_id)
             if self._live.status(device_id).state == "stopped":
                 with self._database.read() as session:
                     store.get_device(session, device_id)
@@ -182,9 +212,10 @@ class DeviceService:
             return self._live.status(device_id)
 
     def status(self, device_id: str) -> DeviceStatus:
-        """Return what a device is doing; raises UnknownDevice."""
+        """Return what a device is doing; raises UnknownDevice, DeviceElsewhere."""
         with self._database.read() as session:
             store.get_device(session, device_id)
+        self.check_here(device_id)
         self._live.refresh()
         return self._live.status(device_id)
 
@@ -220,7 +251,8 @@ class DeviceService:
                     device = store.get_device(session, device_id)
                     check_sensors(device_id, store.sensors_of_row(device), found.calibration.models)
                     self._check_nominal(found, device)
-            self._activate(device_id, found)
+                number = self._gateway.announce_change(session, device_id)
+            self._activate(device_id, found, number)
 
     def _check_nominal(self, found: ActiveCalibration, device: DeviceRow) -> None:
         """Raise NominalCalibrationMismatch where a calibration is not of the device's source."""
@@ -249,7 +281,8 @@ class DeviceService:
                 store.get_device(session, device_id, lock=True)
                 yield session
                 found = self._active(session, device_id)
-            self._activate(device_id, found)
+                number = self._gateway.announce_change(session, device_id)
+            self._activate(device_id, found, number)
 
     def _active(self, session: Session, device_id: str) -> ActiveCalibration:
         """Return what a device uses: calibration, correction table, radiometric calibration."""
@@ -259,7 +292,13 @@ class DeviceService:
             return found
         return replace(found, radiometric=self._stored.active_radiometric(session, radiometric_id))
 
-    def _activate(self, device_id: str, found: ActiveCalibration) -> None:
+    def _activate(
+        self, device_id: str, found: ActiveCalibration, elsewhere: int | None = None
+    ) -> None:
+        """Let the running device use a calibration; ``elsewhere``: number of the change there."""
+        if elsewhere is not None:
+            self._wait_followed(device_id, elsewhere)
+            return
         try:
             self._live.set_calibration(device_id, found)
         except Exception:  # noqa: BLE001 - committed: an error would say that it was not
@@ -293,13 +332,47 @@ class DeviceService:
                 device = store.get_device(session, device_id, lock=True)
                 yield session
                 tracked = self._stored.tracking_config(session, device)
-            self._apply_tracking_config(device_id, tracked)
+                number = self._gateway.announce_change(session, device_id)
+            self._apply_tracking_config(device_id, tracked, number)
 
-    def _apply_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
+    def _apply_tracking_config(
+        self, device_id: str, tracked: TrackingConfig, elsewhere: int | None = None
+    ) -> None:
+        if elsewhere is not None:
+            self._wait_followed(device_id, elsewhere)
+            return
         try:
             self._live.set_tracking_config(device_id, tracked)
         except Exception:  # noqa: BLE001 - committed: an error would say that it was not
             _log.exception("device %s does not follow its tools as stored yet", device_id)
+
+    def _wait_followed(self, device_id: str, number: int) -> None:
+        """Wait until the gateway with the devices does as was committed, which happens anyway."""
+        try:
+            if not self._gateway.wait_followed(device_id, number):
+                _log.warning("device %s does not follow its change %d yet", device_id, number)
+        except LumilineError as error:
+            _log.warning("device %s: its change %d: %s", device_id, number, error.detail)
+
+    def follow(self, device_id: str) -> None:
+        """Let a device use what the database says, which other gateways have changed."""
+        with self._exclusive(device_id):
+            with self._database.read() as session:
+                row = session.get(DeviceRow, device_id)
+                if row is not None:
+                    found = self._active(session, device_id)
+                    tracked = self._stored.tracking_config(session, row)
+            if row is None:
+                self._live.forget_device(device_id)
+                return
+            self._activate(device_id, found)
+            self._apply_tracking_config(device_id, tracked)
+
+    def give_up(self) -> None:
+        """Stop all devices and end their streams: another gateway has them now."""
+        for device_id in {*self._live.statuses(), *self._live.holds.all()}:
+            with self._exclusive(device_id):
+                self._live.forget_device(device_id)
 
     def _monitor_beam_holds(self) -> None:
         """Let the live side know the beam holds of devices that do not run yet."""

@@ -1,7 +1,7 @@
 """GatewayDuties: what this server does beside others, as its leases and their changes ask."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from threading import Event, Thread
 from typing import Final
 
@@ -13,7 +13,7 @@ _log = logging.getLogger(__name__)
 
 LOOK_S: Final = 1.0
 """How often it looks where nobody wakes it."""
-PUBLISH_S: Final = 2.0
+ANNOUNCE_S: Final = 2.0
 
 
 class GatewayDuties:
@@ -23,7 +23,7 @@ class GatewayDuties:
         gateway: this server.
         devices: started when the lease of devices is had, stopped when it is lost.
         named: devices to start beside those that start by themselves.
-        publish: lists the files of this server.
+        announce: list the files of this server for others.
         tidy: called when the data directory has become this server's to tidy.
     """
 
@@ -32,20 +32,20 @@ class GatewayDuties:
         gateway: Gateway,
         devices: DeviceService,
         named: tuple[str, ...],
-        publish: Callable[[], None],
+        announce: Iterable[Callable[[], None]],
         tidy: Callable[[], None],
     ) -> None:
         self._gateway = gateway
         self._devices = devices
         self._named = named
-        self._publish = publish
+        self._announce = tuple(announce)
         self._tidy = tidy
         self._has_devices = self._has_files = False
         self._woken = Event()
         self._ended = Event()
         self._threads = [
             Thread(target=self._look_forever, name="gateway duties", daemon=True),
-            Thread(target=self._publish_forever, name="gateway files", daemon=True),
+            Thread(target=self._announce_forever, name="gateway files", daemon=True),
         ]
 
     def start(self) -> None:
@@ -91,14 +91,15 @@ class GatewayDuties:
                 self._devices.follow(device_id)
                 self._gateway.followed(device_id, number)
 
-    def _publish_forever(self) -> None:
-        while not self._ended.wait(PUBLISH_S):
+    def _announce_forever(self) -> None:
+        while not self._ended.wait(ANNOUNCE_S):
             try:
                 has_files = self._gateway.holds(self._gateway.files_lease)
                 if has_files and not self._has_files:
                     self._tidy()
                 self._has_files = has_files
-                self._publish()
+                for announce in self._announce:
+                    announce()
             except NotReady:
                 pass  # logged there
             except Exception:  # noqa: BLE001 - this thread must not end

@@ -115,7 +115,7 @@ async def running(
             settings.folders.recordings,
             settings.recording_free_bytes,
             settings.recording_flush_s,
-            StoredFiles(database, gateway, "recording") if gateway.shared else None,
+            StoredFiles(database, gateway, "recording"),
         )
         at_the_end(recordings.close)
         app.state.recordings = recordings
@@ -127,13 +127,16 @@ async def running(
         )
         at_the_end(retention.close)
         app.state.retention = retention
-        duties = GatewayDuties(
-            gateway, app.state.device_service, named, recordings.publish, retention.wake
+        exports = ExportRepository(
+            settings.folders.exports,
+            settings.recording_free_bytes,
+            StoredFiles(database, gateway, "export"),
         )
+        app.state.exports = exports
+        announce = (recordings.announce_files, exports.announce_files)
+        duties = GatewayDuties(gateway, app.state.device_service, named, announce, retention.wake)
         at_the_end(duties.close)
         await run_sync(duties.start)
-        exports = ExportRepository(settings.folders.exports, settings.recording_free_bytes)
-        app.state.exports = exports
         kinds = kinds_with(exports, settings.folders.recordings, _profile_finder(settings))
         runs = RunManager(database, settings.runs_at_once, kinds, gateway)
         at_the_end(runs.close)
@@ -141,8 +144,11 @@ async def running(
         await run_sync(runs.start)
         gateway.watch(runs.submitted)
         await run_sync(exports.sweep, partial(running_runs, database))
-        has_devices = partial(gateway.holds, DEVICES)
-        watch = DriftMonitor(database, manager, is_mine=has_devices)
+
+        def is_mine(_device_id: str) -> bool:
+            return gateway.holds(DEVICES)
+
+        watch = DriftMonitor(database, manager, is_mine=is_mine)
         at_the_end(watch.close)
         watch.start()
         retention.start()
@@ -152,7 +158,7 @@ async def running(
         app.state.webhooks = webhooks
 
         def emit(event_type: str, data: dict[str, Any]) -> None:
-            if has_devices():  # one gateway tells of them
+            if is_mine(data["device_id"]):  # one gateway tells of it
                 webhooks.emit(event_type, data)
 
         sources = EventSources(manager, emit)

@@ -140,7 +140,11 @@ def _singular(table: str) -> str:
 def _is_audited(row: object) -> bool:
     # The move of the pointer is told by the row of its history; what was seen is no change.
     silent = AuditRow | ActiveCalibrationRow | WatchSampleRow | IdempotencyKeyRow
-    return isinstance(row, Base) and not isinstance(row, silent)
+    return (
+        isinstance(row, Base)
+        and not isinstance(row, silent)
+        and TRANSIENT not in type(row).metadata.tables[type(row).__tablename__].info
+    )
 
 
 def _is_actors_change(row: Base) -> bool:

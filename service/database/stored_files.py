@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from service.database.engine import Database
 from service.database.gateway import Gateway
 from service.database.models import GatewayRow, StoredFileRow
-from service.problems.errors import NotReady
+from service.problems.errors import FileElsewhere, NotReady
 
 _log = logging.getLogger(__name__)
 
@@ -35,6 +35,14 @@ class StoredFile:
     gateway: str
     here: bool
     document: dict[str, Any]
+
+    def elsewhere(self, kind: str) -> FileElsewhere:
+        """Return the error that only the other gateway gives it."""
+        return FileElsewhere(
+            f'gateway "{self.gateway}" has {kind} "{self.name}", and not this one: ask that one',
+            **{f"{kind}_id": self.name},
+            gateway=self.gateway,
+        )
 
 
 class StoredFiles:
@@ -136,7 +144,7 @@ class StoredFiles:
                 rows = delete(StoredFileRow).where(
                     StoredFileRow.directory_id == self._gateway.directory_id,
                     StoredFileRow.kind == self._kind,
-                    StoredFileRow.name.not_in([*files, *elsewhere]),
+                    StoredFileRow.name.not_in([*files, *written, *elsewhere]),
                 )
                 session.execute(rows)
         self._published = {name: file[0] for name, file in mine.items()}

@@ -189,8 +189,8 @@ class DeviceElsewhere(ServiceError, status=421):
     """Another gateway on the same database has the devices; ask that one."""
 
 
-class RecordingElsewhere(ServiceError, status=421):
-    """The recording lies in the data directory of another gateway; ask that one."""
+class FileElsewhere(ServiceError, status=421):
+    """The recording or export lies in the data directory of another gateway; ask that one."""
 
 
 class CaptureIncomplete(ServiceError, status=409):

@@ -28,7 +28,7 @@ class DriftMonitor:
         database: where settings are read and samples stored.
         live: the live pipeline.
         look_s: how often it looks which devices run.
-        is_mine: whether this server watches, of several that see the devices.
+        is_mine: whether this server watches a device, of several that may see it.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class DriftMonitor:
         database: Database,
         live: Pipeline,
         sample_interval_s: float = LOOK_S,
-        is_mine: Callable[[], bool] = lambda: True,
+        is_mine: Callable[[str], bool] = lambda _: True,
     ) -> None:
         self._is_mine = is_mine
         self._database = database
@@ -92,7 +92,7 @@ class DriftMonitor:
             self._taps[device_id] = (running, tap)
 
     def _session(self, device_id: str) -> RunningDevice | None:
-        if not self._is_mine():
+        if not self._is_mine(device_id):
             return None
         try:
             return self._live.session(device_id)

@@ -19,7 +19,6 @@ from service.database.stored_files import StoredFile, StoredFiles
 from service.pipeline.interface import Pipeline, RunningDevice
 from service.problems.errors import (
     InsufficientStorage,
-    RecordingElsewhere,
     RecordingExists,
     RecordingInProgress,
     RecordingInUse,
@@ -131,7 +130,7 @@ class RecordingManager:
                 gateway=taken.gateway,
             )
 
-    def publish(self) -> None:
+    def announce_files(self) -> None:
         """List the recordings of this server for other gateways."""
         if self._stored is None:
             return
@@ -154,7 +153,7 @@ class RecordingManager:
 
         Raises:
             UnknownRecording.
-            RecordingElsewhere: another gateway has it.
+            FileElsewhere: another gateway has it.
         """
         try:
             return self.library.path(name)
@@ -162,7 +161,7 @@ class RecordingManager:
             other = self._other(name)
             if other is None:
                 raise
-            raise _elsewhere(other) from None
+            raise other.elsewhere("recording") from None
 
     def _reserve(self, name: str, device_id: str) -> None:
         """Let no other recording of the name, or of the device, begin meanwhile."""
@@ -187,13 +186,13 @@ class RecordingManager:
 
         Raises:
             UnknownRecording: there is none of the name.
-            RecordingElsewhere: another gateway writes it.
+            FileElsewhere: another gateway writes it.
         """
         with self._lock:
             recorder = self._active.get(name)
         other = None if recorder is not None else self._other(name)
         if other is not None and other.document["state"] == "recording":
-            raise _elsewhere(other)
+            raise other.elsewhere("recording")
         if recorder is not None:
             recorder.session.detach(recorder)
             recorder.stop("stopped by request")
@@ -249,7 +248,7 @@ class RecordingManager:
 
         Raises:
             UnknownRecording, RecordingInProgress.
-            RecordingElsewhere: another gateway has it.
+            FileElsewhere: another gateway has it.
         """
         path = self.path(name)
         with self._lock:
@@ -387,14 +386,6 @@ def _of_other(other: StoredFile) -> RecordingDocument:
     members = other.document | {"gateway": other.gateway}
     del members["calibrations"]
     return RecordingDocument.model_validate(members)
-
-
-def _elsewhere(other: StoredFile) -> RecordingElsewhere:
-    return RecordingElsewhere(
-        f'gateway "{other.gateway}" has recording "{other.name}", and not this one: ask that one',
-        recording_id=other.name,
-        gateway=other.gateway,
-    )
 
 
 def _of_recorder(name: str, recorder: Recorder) -> RecordingDocument:

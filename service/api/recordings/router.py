@@ -111,7 +111,7 @@ def get_recording_retention(retention: RetentionDep) -> RetentionDocument:
 
 # The paths that go on from a name come first: a name may have slashes in it.
 @router.operation("POST /recordings/{recording_id:path}/stop", "stop-recording", "End a recording")
-@raises("unknown-recording", "recording-elsewhere")
+@raises("unknown-recording", "file-elsewhere")
 def stop_recording(recording_id: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
     """End a recording and close its file; one that has ended stays as it is."""
     return recordings.stop(recording_id)
@@ -127,7 +127,7 @@ def stop_recording(recording_id: BegunPath, recordings: RecordingsDep) -> Record
     },
     response_class=FileResponse,
 )
-@raises("unknown-recording", "recording-in-progress", "recording-elsewhere")
+@raises("unknown-recording", "recording-in-progress", "file-elsewhere")
 def download_recording(recording_id: FinishedPath, recordings: RecordingsDep) -> FileResponse:
     """The file, or the part of it that the header `Range` asks for.
 
@@ -144,7 +144,7 @@ def download_recording(recording_id: FinishedPath, recordings: RecordingsDep) ->
     response_model=RecordedFrames,
 )
 @raises("unknown-recording", "invalid-recording", "invalid-parameter", "unknown-calibration")
-@raises("sensors-changed", "busy", "recording-elsewhere")
+@raises("sensors-changed", "busy", "file-elsewhere")
 def get_recorded_frames(
     recording_id: FinishedPath,
     recordings: RecordingsDep,
@@ -200,7 +200,7 @@ def get_recorded_frames(
     "Look at the scans of a recorded frame",
     response_model=DeviceScans,
 )
-@raises("unknown-recording", "invalid-recording", "invalid-parameter", "recording-elsewhere")
+@raises("unknown-recording", "invalid-recording", "invalid-parameter", "file-elsewhere")
 def get_recorded_scans(
     recording_id: FinishedPath,
     recordings: RecordingsDep,
@@ -229,7 +229,7 @@ def get_recording(recording_id: BegunPath, recordings: RecordingsDep) -> Recordi
 @router.operation(
     "DELETE /recordings/{recording_id:path}", "delete-recording", "Delete a recording"
 )
-@raises("unknown-recording", "recording-in-progress", "recording-in-use", "recording-elsewhere")
+@raises("unknown-recording", "recording-in-progress", "recording-in-use", "file-elsewhere")
 def delete_recording(
     recording_id: FinishedPath, database: DatabaseDep, recordings: RecordingsDep
 ) -> None:

@@ -280,7 +280,7 @@ def create_update_run(request: NewUpdateRunBody, submission: SubmissionDep) -> R
 )
 @raises("unknown-device", "unknown-recording", "unknown-tool", "unknown-calibration")
 @raises("unknown-correction-table", "run-exists", "export-exists", "recording-in-progress")
-@raises("invalid-parameter", "insufficient-storage", "busy", "recording-elsewhere")
+@raises("invalid-parameter", "insufficient-storage", "busy", "file-elsewhere")
 def create_export_run(
     request: NewExportRunBody,
     submission: SubmissionDep,

@@ -1166,6 +1166,7 @@ class RecordingDetail(ResponseModel):
     size_bytes: int
     started_at: datetime | None
     updated_at: datetime
+    gateway: str | None = None
     calibrations: tuple[UsedCalibration, ...]
 
 
@@ -1186,6 +1187,7 @@ class RecordingDocument(ResponseModel):
     size_bytes: int
     started_at: datetime | None
     updated_at: datetime
+    gateway: str | None = None
 
 
 class RetentionDocument(ResponseModel):
@@ -1366,6 +1368,7 @@ class Export(ResponseModel):
     media_type: str
     size_bytes: int
     created_at: datetime
+    gateway: str | None = None
     run_id: str | None
     device_id: str | None
     recording_id: str | None

@@ -11,6 +11,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, Final
 
 import httpx
@@ -225,7 +226,7 @@ def test_what_is_said_holds_while_gateways_are_killed(new_pair: Pair) -> None:
     for name in commands.runs:
         wait_for(lambda run=name: done(pair.b, "GET", f"/runs/{run}")["state"] in ENDED)
     rows = pair.rows("SELECT calibration_id, previous_calibration_id FROM activations ORDER BY id")
-    for before, after in zip(rows, rows[1:], strict=False):
+    for before, after in pairwise(rows):
         assert after[1] == before[0]
     # One has the devices, and uses what the database says.
     holder = wait_for(

@@ -5,7 +5,6 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import Any
 
 from anyio.to_thread import run_sync
 from fastapi import FastAPI
@@ -144,11 +143,7 @@ async def running(
         await run_sync(runs.start)
         gateway.watch(runs.submitted)
         await run_sync(exports.sweep, partial(running_runs, database))
-
-        def is_mine(_device_id: str) -> bool:
-            return gateway.holds(DEVICES)
-
-        watch = DriftMonitor(database, manager, is_mine=is_mine)
+        watch = DriftMonitor(database, manager, is_mine=gateway.watches)
         at_the_end(watch.close)
         watch.start()
         retention.start()
@@ -156,12 +151,7 @@ async def running(
         at_the_end(webhooks.close)
         webhooks.start()
         app.state.webhooks = webhooks
-
-        def emit(event_type: str, data: dict[str, Any]) -> None:
-            if is_mine(data["device_id"]):  # one gateway tells of it
-                webhooks.emit(event_type, data)
-
-        sources = EventSources(manager, emit)
+        sources = EventSources(manager, webhooks.emit, is_mine=gateway.watches)
         at_the_end(sources.close)
         app.state.metrics.add(
             LiveCollector(manager, app.state.streams),

@@ -63,6 +63,10 @@ class Gateway:
         """Whether a lease is this gateway's, as far as it knows."""
         return True
 
+    def watches(self, device_id: str) -> bool:  # noqa: ARG002
+        """Whether this gateway watches a device and tells others of its events."""
+        return self.holds(DEVICES)
+
     def holder(self, lease: str) -> str | None:  # noqa: ARG002
         """Return the name of the gateway that has a lease; None: nobody has."""
         return self.name

@@ -94,6 +94,7 @@ class Commands:
             self.calibrations[body["id"]] = made.json()["content_hash"]
 
     def _run(self, chance: random.Random) -> None:
+        self._stopping.wait(1.0)  # they are computed one after the other
         name = f"r-{chance.getrandbits(40)}"
         body = {"id": name, "device_id": "sim", "points": POINTS}
         made = self._ask(self._any(chance), "POST", "/runs/calibration", body)

@@ -177,15 +177,23 @@ class SharedGateway(Gateway):
         return int(number)
 
     def wait_followed(self, device_id: str, number: int) -> bool:
-        """Wait until the gateway with the devices has put a change into effect."""
-        query = text("SELECT followed FROM device_changes WHERE device_id = :device")
+        """Wait until the gateway with the devices has put a change into effect.
+
+        Returns:
+            Whether it has; also False where no gateway has the devices: the next one will.
+        """
+        query = text(
+            "SELECT followed, EXISTS (SELECT 1 FROM leases l JOIN gateways g ON g.id = gateway_id "
+            "WHERE l.name = :lease) FROM device_changes WHERE device_id = :device"
+        )
         end = time.monotonic() + FOLLOW_S
         while True:
             with self._database.read() as session:
-                found = session.execute(query, {"device": device_id}).scalar()
-            if found is None or found >= number:  # none: the device was deleted
+                values = {"device": device_id, "lease": DEVICES}
+                followed, held = session.execute(query, values).one()
+            if followed >= number:
                 return True
-            if time.monotonic() > end:
+            if not held or time.monotonic() > end:
                 return False
             self._ended.wait(_POLL_S)
 

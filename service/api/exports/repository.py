@@ -5,18 +5,20 @@ import shutil
 from collections.abc import Callable, Collection
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from compute.errors import InvalidParameter
 from service.api.base_models import SLUG_PATTERN
 from service.api.exports.schema import FORMATS, ExportFile, Format
-from service.database.stored_files import StoredFiles
 from service.problems.errors import (
     ExportExists,
     FileElsewhere,
     InsufficientStorage,
     UnknownExport,
 )
+
+if TYPE_CHECKING:
+    from service.database.stored_files import StoredFiles
 
 _UNFINISHED: Final = ".unfinished"
 MEDIA_TYPES: Final[dict[str, str]] = {
@@ -38,7 +40,7 @@ class ExportRepository:
     """
 
     def __init__(
-        self, folder: Path, free_bytes: int = 0, stored: StoredFiles | None = None
+        self, folder: Path, free_bytes: int = 0, stored: "StoredFiles | None" = None
     ) -> None:
         self.folder = folder
         self._stored = stored

@@ -156,7 +156,14 @@ def test_change_of_a_device_elsewhere_is_numbered_and_followed(
     assert b.wait_followed("sim", 1)
     assert a.changes() == [("sim", 2)]
     b._ended.wait = lambda seconds: clock.sleep(seconds)  # type: ignore[method-assign]
+    before = clock.now_s
     assert not b.wait_followed("sim", 2)
+    assert clock.now_s > before + gateway.FOLLOW_S
+    before = clock.now_s
+    with shared_database.engine.begin() as connection:
+        connection.exec_driver_sql("DELETE FROM leases")  # nobody has the devices: nobody follows
+    assert not b.wait_followed("sim", 2)
+    assert clock.now_s == before
     a.followed("sim", 2)
     assert b.wait_followed("sim", 2)
     assert a.changes() == []

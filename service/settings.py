@@ -108,6 +108,9 @@ class Settings(BaseSettings):
     bus_delay_s: float = Field(default=0.01, ge=0.0, le=1.0, allow_inf_nan=False)
     """How long a station keeps a frame for others to go with it over the bus [s]; poses and beam
     holds wait for nothing."""
+    gateway_devices: bool = True
+    """Whether this server may have the devices where several share a PostgreSQL database; one of
+    them has, and another takes them when it ends. Without: what is attached to another machine."""
     stream_kept_messages: int = Field(default=10_000, ge=1)
     """Messages of each device that are kept for stream clients which are behind or come back."""
     stream_lag_s: float = Field(default=1.0, ge=0.0, allow_inf_nan=False)

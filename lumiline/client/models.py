@@ -1192,6 +1192,7 @@ class RecordingDetail(ResponseModel):
     size_bytes: int
     started_at: datetime | None
     updated_at: datetime
+    gateway: str | None = None
     calibrations: tuple[UsedCalibration, ...]
 
 
@@ -1212,6 +1213,7 @@ class RecordingDocument(ResponseModel):
     size_bytes: int
     started_at: datetime | None
     updated_at: datetime
+    gateway: str | None = None
 
 
 class RetentionDocument(ResponseModel):
@@ -1394,6 +1396,7 @@ class Export(ResponseModel):
     media_type: str
     size_bytes: int
     created_at: datetime
+    gateway: str | None = None
     run_id: str | None
     device_id: str | None
     recording_id: str | None

@@ -20,6 +20,7 @@ from starlette.responses import Response
 from starlette.types import Message, Receive
 
 from service.database.engine import Database
+from service.database.gateway import Gateway
 from service.database.models import IdempotencyKeyRow
 from service.principal import current_act
 from service.problems.errors import (
@@ -34,6 +35,9 @@ LIFETIME: Final = timedelta(hours=24)
 ABANDONED_AFTER: Final = timedelta(minutes=15)
 """No request is carried out for longer: one that is older ended with its server, while others on
 the same database went on."""
+ORPHANED_AFTER: Final = timedelta(minutes=1)
+"""The same where its server is known to live no more: one that was only held up, as with its
+machine, may still carry it out."""
 PROBLEMS: Final = ("idempotency-key-reused", "invalid-idempotency-key", "request-in-progress")
 PARAMETER: Final[dict[str, Any]] = {
     "name": NAME,
@@ -72,11 +76,12 @@ def once(handle: Handler) -> Handler:
                 characters=len(key),
             )
         database: Database = request.app.state.database
+        gateway: Gateway = request.app.state.gateway
         claim = (f"{act.principal.kind}:{act.principal.id}", key)
         body = await request.body()
         fingerprint = _fingerprint(request, body)
         try:
-            stored = await run_in_threadpool(_claim, database, claim, fingerprint)
+            stored = await run_in_threadpool(_claim, database, gateway, claim, fingerprint)
         except RequestInProgress as error:
             headers = {"Retry-After": str(_RETRY_AFTER_S)}
             return error_response(error, request.url.path, headers)
@@ -125,7 +130,9 @@ def _fingerprint(request: Request, body: bytes) -> str:
     return hashlib.sha256(head.encode() + b"\n" + body).hexdigest()
 
 
-def _claim(database: Database, claim: tuple[str, str], fingerprint: str) -> Response | None:
+def _claim(
+    database: Database, gateway: Gateway, claim: tuple[str, str], fingerprint: str
+) -> Response | None:
     """Claim a key; return the answer that was given, None where there was none.
 
     Raises:
@@ -138,12 +145,19 @@ def _claim(database: Database, claim: tuple[str, str], fingerprint: str) -> Resp
             created = IdempotencyKeyRow.created_at
             unfinished = IdempotencyKeyRow.status.is_(None)
             abandoned = unfinished & (created < now - ABANDONED_AFTER)
+            gone = gateway.is_gone(IdempotencyKeyRow.gateway_id)
+            if gone is not None:
+                abandoned |= unfinished & (created < now - ORPHANED_AFTER) & gone
             session.execute(delete(IdempotencyKeyRow).where((created < now - LIFETIME) | abandoned))
             row = session.get(IdempotencyKeyRow, claim)
             if row is None:
                 principal, key = claim
                 row = IdempotencyKeyRow(
-                    principal=principal, key=key, fingerprint=fingerprint, created_at=now
+                    principal=principal,
+                    key=key,
+                    fingerprint=fingerprint,
+                    created_at=now,
+                    gateway_id=gateway.id if gateway.shared else None,
                 )
                 session.add(row)
                 session.flush()

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
-from typing import Annotated, Any
+from types import MethodType
+from typing import Annotated, Any, cast
 
 from fastapi import Depends, Path, Query, Request
 from fastapi.routing import APIRoute
@@ -15,9 +16,10 @@ from service.api.idempotency import once, takes_key
 from service.api.json_body import INLINE_BYTES, BodyReader, check_json_body, validate_text
 from service.api.preconditions import members_apart, tagged
 from service.database.engine import Database
+from service.database.gateway import DEVICES, Gateway
 from service.jobs.run_manager import RunManager
-from service.pipeline.interface import Pipeline
-from service.problems.errors import NotReady
+from service.pipeline.interface import Pipeline, RemoteStations
+from service.problems.errors import DeviceElsewhere, NotReady
 from service.settings import Settings
 
 
@@ -34,11 +36,57 @@ def _live(request: Request) -> Pipeline:
     live: Pipeline | None = request.app.state.live
     if live is None:
         raise NotReady("the live pipeline does not run; restart the server", part="live")
+    gateway: Gateway = request.app.state.gateway
+    if not gateway.holds(DEVICES):
+        return cast("Pipeline", _Elsewhere(gateway, live, request.app.state.stations))
     return live
+
+
+class _Elsewhere:
+    """Refuses what is asked of devices that another gateway has; all have those of stations.
+
+    Args:
+        gateway: this one.
+        live: its pipeline.
+        stations: those on other machines; None: all devices are elsewhere.
+    """
+
+    def __init__(self, gateway: Gateway, live: Pipeline, stations: RemoteStations | None) -> None:
+        self._gateway = gateway
+        self._live = live
+        self._stations = stations
+
+    def __getattr__(self, name: str) -> Any:
+        stations = self._stations
+        if stations is None:
+            raise elsewhere(self._gateway)
+        member = getattr(self._live, name)
+        if not isinstance(member, MethodType):
+            return member  # the newest poses, states of holds, ...
+
+        def of_device(*args: Any, **members: Any) -> Any:
+            device_id = args[0] if args else members.get("device_id")
+            if isinstance(device_id, str) and not stations.is_far(device_id):
+                raise elsewhere(self._gateway, device_id)
+            return member(*args, **members)
+
+        return of_device
+
+
+def elsewhere(gateway: Gateway, device_id: str | None = None) -> DeviceElsewhere:
+    """Return the error where another gateway than this one has the devices."""
+    holder = gateway.holder(DEVICES)
+    if holder is None:
+        where = "no gateway has the devices now; one takes them within seconds, so ask again"
+    else:
+        where = f'gateway "{holder}" has the devices, and this is "{gateway.name}": ask that one'
+    context = {} if device_id is None else {"device_id": device_id}
+    return DeviceElsewhere(where, **context, gateway=holder)
 
 
 DatabaseDep = Annotated[Database, of_application("database")]
 LiveDep = Annotated[Pipeline, Depends(_live)]
+GatewayDep = Annotated[Gateway, of_application("gateway")]
 RunsDep = Annotated[RunManager, of_application("runs")]
 SettingsDep = Annotated[Settings, of_application("settings")]
 

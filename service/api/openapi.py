@@ -38,6 +38,9 @@ Responses = dict[int | str, dict[str, Any]]
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 _OF_RESOURCES: Final = ("not-ready",)
+_OF_RUNNING_DEVICES: Final = "device-not-running"
+_OF_DEVICES_ELSEWHERE: Final = "device-elsewhere"
+"""Of whatever needs a running device, where several gateways have one database."""
 _OF_ALL_REQUESTS: Final = ("credential-in-query", "query-too-long", "unknown-query-member")
 _OF_THOSE_WITH_SCOPE: Final = ("unauthenticated", "missing-scope", "too-many-attempts")
 _OF_CHANGES: Final = ("cross-origin",)
@@ -124,6 +127,8 @@ class ResourceRouter(APIRouter):
             if endpoint.__annotations__["return"] is None:
                 options.setdefault("status_code", 204)
             codes: Sequence[str] = getattr(endpoint, "problems", ())
+            if _OF_RUNNING_DEVICES in codes:
+                codes = (*codes, _OF_DEVICES_ELSEWHERE)
             answers = responses or {}
             if method == "POST" and idempotent and options.get("status_code") in _CREATED:
                 codes = (*codes, *idempotency.PROBLEMS)

@@ -1,5 +1,6 @@
 """Lifespan of the application: parts are opened in order and closed in reverse."""
 
+import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from datetime import UTC, datetime, timedelta
@@ -23,8 +24,11 @@ from service.api.wave_captures.wave_capture_manager import WaveCaptureManager
 from service.api.webhooks.dispatcher import WebhookDispatcher
 from service.api.webhooks.sources import EventSources
 from service.application.bootstrap import prepare
+from service.application.gateway_duties import GatewayDuties
 from service.database.engine import Database
+from service.database.gateway import DEVICES, Gateway, SharedGateway, directory_identity
 from service.database.server_lock import is_unused, server_lock
+from service.database.stored_files import StoredFiles
 from service.jobs.run_manager import RunManager
 from service.jobs.store import running_runs
 from service.pipeline.detection_stage import FindProfile
@@ -85,6 +89,11 @@ async def running(
         if alone:
             await run_sync(forget_unfinished, database, started_at)
         app.state.database = database
+        gateway = await run_sync(_gateway, settings, database)
+        app.state.gateway = gateway
+        leases = [gateway.files_lease, *([DEVICES] if settings.gateway_devices else [])]
+        await run_sync(gateway.join, leases)
+        at_the_end(gateway.leave)
         app.state.authenticator = Authenticator(database, settings)
         manager = _live_manager(settings, starter) if live is None else live
         far = None
@@ -101,6 +110,7 @@ async def running(
             )
         at_the_end(manager.close)
         app.state.live = manager
+        app.state.stations = far
         app.state.streams = manager.streams
         stack.callback(setattr, app.state, "live", None)
         app.state.device_service = DeviceService(
@@ -108,11 +118,13 @@ async def running(
             manager,
             settings.folders,
             StoredContent(active_calibration, active_radiometric, tracking_config_of),
+            gateway,
             own="" if settings.station == "none" else None,
             stations=far,
         )
         if far is not None:
             stored_devices.service = app.state.device_service
+            await run_sync(app.state.device_service.assign_stations)
         app.state.wave_captures = WaveCaptureManager(database, manager)
         at_the_end(app.state.wave_captures.close)
         recordings = RecordingManager(
@@ -120,22 +132,36 @@ async def running(
             settings.folders.recordings,
             settings.recording_free_bytes,
             settings.recording_flush_s,
+            StoredFiles(database, gateway, "recording"),
         )
         at_the_end(recordings.close)
         app.state.recordings = recordings
-        retention = RecordingRetention(recordings, database, _retention_limits(settings))
+        retention = RecordingRetention(
+            recordings,
+            database,
+            _retention_limits(settings),
+            is_mine=partial(gateway.holds, gateway.files_lease),
+        )
         at_the_end(retention.close)
         app.state.retention = retention
-        await run_sync(app.state.device_service.autostart, *named)
-        exports = ExportRepository(settings.folders.exports, settings.recording_free_bytes)
+        exports = ExportRepository(
+            settings.folders.exports,
+            settings.recording_free_bytes,
+            StoredFiles(database, gateway, "export"),
+        )
         app.state.exports = exports
+        announce = (recordings.announce_files, exports.announce_files)
+        duties = GatewayDuties(gateway, app.state.device_service, named, announce, retention.wake)
+        at_the_end(duties.close)
+        await run_sync(duties.start)
         kinds = kinds_with(exports, settings.folders.recordings, _profile_finder(settings))
-        runs = RunManager(database, settings.runs_at_once, kinds)
+        runs = RunManager(database, settings.runs_at_once, kinds, gateway)
         at_the_end(runs.close)
         app.state.runs = runs
         await run_sync(runs.start)
+        gateway.watch(runs.submitted)
         await run_sync(exports.sweep, partial(running_runs, database))
-        watch = DriftMonitor(database, manager)
+        watch = DriftMonitor(database, manager, is_mine=gateway.watches)
         at_the_end(watch.close)
         watch.start()
         retention.start()
@@ -143,7 +169,7 @@ async def running(
         at_the_end(webhooks.close)
         webhooks.start()
         app.state.webhooks = webhooks
-        sources = EventSources(manager, webhooks.emit)
+        sources = EventSources(manager, webhooks.emit, is_mine=gateway.watches)
         at_the_end(sources.close)
         app.state.metrics.add(
             LiveCollector(manager, app.state.streams),
@@ -161,6 +187,14 @@ async def running(
         if started is not None:
             started()
         yield
+
+
+def _gateway(settings: Settings, database: Database) -> Gateway:
+    """Return this server among those on its database; on SQLite it is the only one."""
+    if database.engine.dialect.name != "postgresql":
+        return Gateway()
+    name = f"{socket.gethostname()}:{settings.port}"
+    return SharedGateway(database, directory_identity(settings.data_dir), name)
 
 
 def _retention_limits(settings: Settings) -> RetentionLimits:

@@ -6,6 +6,7 @@ from typing import Final
 from sqlalchemy import Connection, Table, func, insert, select, text
 
 from service.database.models import (
+    TRANSIENT,
     Base,
     CorrectionTableRow,
     RadiometricCalibrationRow,
@@ -28,15 +29,22 @@ _LARGE: Final = frozenset(
 TableCopied = Callable[[str, int], None]
 
 
+def _kept_tables() -> list[Table]:
+    """Return the tables that outlive the servers."""
+    return [table for table in Base.metadata.sorted_tables if TRANSIENT not in table.info]
+
+
 def copy_rows(
     source: Connection, target: Connection, report: TableCopied | None = None
 ) -> dict[str, int]:
-    """Copy every table into the empty ones of ``target``; return how many rows each has.
+    """Copy the tables into the empty ones of ``target``; return how many rows each has.
+
+    Not those of the servers that run now.
 
     Both are of the newest revision. ``report`` hears of each table that is done.
     """
     counts = {}
-    for table in Base.metadata.sorted_tables:
+    for table in _kept_tables():
         counts[table.name] = _copy_table(source, target, table)
         if report is not None:
             report(table.name, counts[table.name])
@@ -49,7 +57,7 @@ def count_rows(connection: Connection) -> dict[str, int]:
     """Return how many rows each table has."""
     return {
         table.name: connection.scalar(select(func.count()).select_from(table)) or 0
-        for table in Base.metadata.sorted_tables
+        for table in _kept_tables()
     }
 
 

@@ -9,6 +9,7 @@ from sqlalchemy import event, inspect
 from sqlalchemy.orm import ORMExecuteState, Session, UOWTransaction
 
 from service.database.models import (
+    TRANSIENT,
     ActivationRow,
     ActiveCalibrationRow,
     ApiKeyRow,
@@ -43,7 +44,11 @@ _REDACTED_COLUMNS: Final = frozenset(
     }
 )
 _SILENT_TABLES: Final = frozenset(
-    {ActiveCalibrationRow.__tablename__, IdempotencyKeyRow.__tablename__}
+    {
+        ActiveCalibrationRow.__tablename__,
+        IdempotencyKeyRow.__tablename__,
+        *(name for name, table in Base.metadata.tables.items() if TRANSIENT in table.info),
+    }
 )
 _POINTER: Final = ("calibration_id", "table_id")
 _RADIOMETRIC_POINTER: Final = ("radiometric_id",)
@@ -135,7 +140,11 @@ def _singular(table: str) -> str:
 def _is_audited(row: object) -> bool:
     # The move of the pointer is told by the row of its history; what was seen is no change.
     silent = AuditRow | ActiveCalibrationRow | WatchSampleRow | IdempotencyKeyRow
-    return isinstance(row, Base) and not isinstance(row, silent)
+    return (
+        isinstance(row, Base)
+        and not isinstance(row, silent)
+        and TRANSIENT not in type(row).metadata.tables[type(row).__tablename__].info
+    )
 
 
 def _is_actors_change(row: Base) -> bool:

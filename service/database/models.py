@@ -5,6 +5,7 @@ from typing import Any
 
 from sqlalchemy import (
     JSON,
+    BigInteger,
     DateTime,
     Dialect,
     Double,
@@ -266,6 +267,8 @@ class RunRow(_OfDevice, Base):
     heartbeat_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
     claim: Mapped[str | None] = mapped_column(String(80), unique=True, index=True)
     """What it is to store its result under; of an open run only."""
+    directory_id: Mapped[str | None] = mapped_column(String(63))
+    """The data directory that has the files it needs; None: it needs none."""
 
 
 class DriftCheckRow(_NotedOfDevice, Base):
@@ -463,6 +466,8 @@ class IdempotencyKeyRow(Base):
     headers: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     body: Mapped[bytes | None] = mapped_column(LargeBinary)
     """Compressed with zlib."""
+    gateway_id: Mapped[str | None] = mapped_column(String(63))
+    """The gateway that carries it out, or did; None: the only server of its database."""
 
 
 class AuditRow(Base):
@@ -489,3 +494,80 @@ class AuditRow(Base):
     detail: Mapped[str | None] = mapped_column(Text)
     request_id: Mapped[str | None] = mapped_column(String(64))
     address: Mapped[str | None] = mapped_column(String(64))
+
+
+TRANSIENT = "transient"
+"""Key in a table's ``info``: its rows are of the servers that run now, and no backup has them."""
+
+
+class GatewayRow(Base):
+    """A server that lives: it raises ``beat`` each second, and others delete it when it does not.
+
+    Of servers on PostgreSQL; SQLite has one at a time.
+    """
+
+    __tablename__ = "gateways"
+    __table_args__ = ({"info": {TRANSIENT: True}},)
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200))
+    host: Mapped[str] = mapped_column(String(200))
+    process_id: Mapped[int]
+    directory_id: Mapped[str] = mapped_column(String(63))
+    beat: Mapped[int] = mapped_column(BigInteger)
+    started_at: Mapped[datetime] = mapped_column(UtcDateTime)
+    heartbeat_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
+class LeaseRow(Base):
+    """What one gateway does for all; another may take it when its gateway does not live."""
+
+    __tablename__ = "leases"
+    __table_args__ = ({"info": {TRANSIENT: True}},)
+
+    name: Mapped[str] = mapped_column(String(80), primary_key=True)
+    gateway_id: Mapped[str] = mapped_column(String(63))
+
+
+class DeviceChangeRow(Base):
+    """Number of the newest change of a device that a gateway without it made.
+
+    ``followed`` is the newest that the gateway with the devices has put into effect.
+    """
+
+    __tablename__ = "device_changes"
+    __table_args__ = ({"info": {TRANSIENT: True}},)
+
+    device_id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    wanted: Mapped[int] = mapped_column(BigInteger)
+    followed: Mapped[int] = mapped_column(BigInteger)
+
+
+class StoredFileRow(Base):
+    """A recording or export in the data directory of a gateway, as gateways of others list it.
+
+    ``gateway_id`` is the gateway that writes it now; None: nobody does.
+    """
+
+    __tablename__ = "stored_files"
+    __table_args__ = ({"info": {TRANSIENT: True}},)
+
+    directory_id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(16), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200), primary_key=True)
+    changed_ns: Mapped[int] = mapped_column(BigInteger)
+    document: Mapped[dict[str, Any]] = mapped_column(JSON)
+    gateway_id: Mapped[str | None] = mapped_column(String(63))
+    gateway_name: Mapped[str] = mapped_column(String(200))
+    """Of the one that listed it last."""
+
+
+class FailedLoginRow(Base):
+    """Failed log-ins of an address at all gateways: a bucket that empties with time."""
+
+    __tablename__ = "failed_logins"
+    __table_args__ = ({"info": {TRANSIENT: True}},)
+
+    network: Mapped[str] = mapped_column(String(64), primary_key=True)
+    spent: Mapped[float] = mapped_column(Double)
+    at: Mapped[datetime] = mapped_column(UtcDateTime)

@@ -15,6 +15,7 @@ from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
 from service.database.engine import Database
+from service.database.gateway import Gateway
 from service.database.models import RunRow
 from service.jobs import store
 from service.jobs.worker import Done, Progress
@@ -93,9 +94,14 @@ class RunManager:
     """Runs at most ``at_once`` computations, each in a process of its own."""
 
     def __init__(
-        self, database: Database, max_concurrent: int, kinds: Mapping[str, RunKind]
+        self,
+        database: Database,
+        max_concurrent: int,
+        kinds: Mapping[str, RunKind],
+        gateway: Gateway | None = None,
     ) -> None:
         self._database = database
+        self._gateway = Gateway() if gateway is None else gateway
         self._max_concurrent = max_concurrent
         self._kinds = kinds
         self._wake = Event()
@@ -110,7 +116,7 @@ class RunManager:
     def start(self) -> None:
         """End what an earlier process of this server left, and begin to take runs."""
         with self._database.write() as session:
-            for run_id in store.interrupt_lost(session, starting=True):
+            for run_id in store.interrupt_lost(session, self._gateway, starting=True):
                 _log.warning("run %s was interrupted by the end of the server before", run_id)
         self._dispatcher.start()
 
@@ -120,7 +126,7 @@ class RunManager:
         return self._dispatcher.is_alive()
 
     def submitted(self) -> None:
-        """Say that a run waits; callable from any thread."""
+        """Say that a run waits, or that another server ended; callable from any thread."""
         self._wake.set()
 
     def cancelled(self, run_id: str) -> None:
@@ -147,7 +153,9 @@ class RunManager:
                     computing = list(self._running)
                 with self._database.write() as session:
                     # Its own are stale, too, after a suspend or an outage of the database.
-                    store.interrupt_lost(session, computing)
+                    lost = store.interrupt_lost(session, self._gateway, computing)
+                for run_id in lost:
+                    _log.warning("run %s was interrupted by the end of its server", run_id)
                 while self._free_slots() and not self._closing.is_set() and self._take():
                     pass
             except NotReady:
@@ -164,7 +172,7 @@ class RunManager:
     def _take(self) -> bool:
         """Start the next run; return whether there was one."""
         with self._database.write() as session:
-            row = store.claim(session)
+            row = store.claim(session, self._gateway)
             if row is None:
                 return False
             run_id = row.id
@@ -240,6 +248,7 @@ class RunManager:
                 return store.report_progress(
                     session,
                     run_id,
+                    self._gateway.id,
                     latest.share if latest else None,
                     latest.stage if latest else None,
                 )
@@ -249,7 +258,7 @@ class RunManager:
     def _store(self, run_id: str, keep: Callable[[Any, RunRow, Any], str], result: Any) -> bool:
         """Store a result and end its run in one transaction, unless the run was ended."""
         with self._database.write() as session:
-            row = store.is_still_owner(session, run_id)
+            row = store.is_still_owner(session, run_id, self._gateway.id)
             if row is None:
                 return False
             with _acting_as_submitter(row):
@@ -268,7 +277,7 @@ class RunManager:
     ) -> None:
         def write() -> None:
             with self._database.write() as session:
-                row = store.is_still_owner(session, run_id)
+                row = store.is_still_owner(session, run_id, self._gateway.id)
                 if row is not None:
                     store.finish(row, state, stage, problem)
                     self.durations.ended(row)

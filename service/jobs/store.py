@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
 from service.database.engine import Database, Resource, insert
+from service.database.gateway import Gateway
 from service.database.models import RunRow
 from service.principal import current_act
 from service.problems.errors import (
@@ -39,11 +40,6 @@ STALE_AFTER: Final = timedelta(seconds=60)
 """A running run whose server has not been heard of for so long has none any more."""
 
 
-def owner() -> str:
-    """Return the name of this server process."""
-    return f"{socket.gethostname()}/{os.getpid()}"
-
-
 RUNS: Final = Resource(RunRow, "run", UnknownRun, RunExists)
 
 
@@ -54,8 +50,9 @@ def add_run(
     request: dict[str, Any],
     max_waiting: int,
     run_id: str | None = None,
+    directory_id: str | None = None,
 ) -> RunRow:
-    """Store a run that waits for its turn.
+    """Store a run that waits for its turn; ``directory_id``: where the files are that it needs.
 
     Raises:
         RunExists: the id is taken.
@@ -91,6 +88,7 @@ def add_run(
         finished_at=None,
         heartbeat_at=None,
         claim=None,
+        directory_id=directory_id,
     )
     RUNS.insert(session, row)
     if result_id is not None:
@@ -117,25 +115,26 @@ def _claimed(kind: Kind, result_id: str, run_id: str | None) -> LumilineError:
     )
 
 
-def claim(session: Session) -> RunRow | None:
-    """Make the oldest run that waits this server's own; None when none waits."""
+def claim(session: Session, gateway: Gateway) -> RunRow | None:
+    """Make the oldest waiting run that it can compute this server's own; None: there is none."""
+    files = RunRow.directory_id.is_(None) | (RunRow.directory_id == gateway.directory_id)
     row = session.scalars(
         select(RunRow)
-        .where(RunRow.state == "queued")
+        .where(RunRow.state == "queued", files)
         .order_by(RunRow.created_at, RunRow.id)
         .limit(1)
         .with_for_update(skip_locked=True)
     ).first()
     if row is not None:
         now = datetime.now(UTC)
-        row.state, row.stage, row.owner = "running", "starts", owner()
+        row.state, row.stage, row.owner = "running", "starts", gateway.id
         row.started_at = row.heartbeat_at = now
         session.flush()
     return row
 
 
 def report_progress(
-    session: Session, run_id: str, progress: float | None, stage: str | None
+    session: Session, run_id: str, owner: str, progress: float | None, stage: str | None
 ) -> bool:
     """Write down how far a run is; return whether it is still this server's to go on with."""
     values: dict[str, Any] = {"heartbeat_at": datetime.now(UTC)}
@@ -145,7 +144,7 @@ def report_progress(
         values["stage"] = stage[:200]
     result = session.execute(
         update(RunRow)
-        .where(RunRow.id == run_id, RunRow.state == "running", RunRow.owner == owner())
+        .where(RunRow.id == run_id, RunRow.state == "running", RunRow.owner == owner)
         .values(**values)
         .returning(RunRow.id)
     )
@@ -158,11 +157,11 @@ def running_runs(database: Database) -> list[str]:
         return list(session.scalars(select(RunRow.id).where(RunRow.state == "running")))
 
 
-def is_still_owner(session: Session, run_id: str) -> RunRow | None:
+def is_still_owner(session: Session, run_id: str, owner: str) -> RunRow | None:
     """Return a running run of this server, locked; None where it was cancelled or deleted."""
     return session.scalars(
         select(RunRow)
-        .where(RunRow.id == run_id, RunRow.state == "running", RunRow.owner == owner())
+        .where(RunRow.id == run_id, RunRow.state == "running", RunRow.owner == owner)
         .with_for_update()
     ).first()
 
@@ -202,23 +201,30 @@ def delete_run(session: Session, run_id: str) -> None:
 
 
 def interrupt_lost(
-    session: Session, computing: Collection[str] = (), *, starting: bool = False
+    session: Session,
+    gateway: Gateway,
+    computing: Collection[str] = (),
+    *,
+    starting: bool = False,
 ) -> list[str]:
     """End the runs whose server is gone and return their ids.
 
     Args:
         session: the session.
+        gateway: this server; where it does not know which others live, the heartbeat of each run
+            tells.
         computing: the runs that this server computes, whenever it was last heard of.
         starting: this server starts: what is called its own is of a process before it.
     """
-    stale = RunRow.heartbeat_at < datetime.now(UTC) - STALE_AFTER
-    condition = stale
-    if starting:
-        condition = or_(stale, RunRow.owner.in_(_gone_or_own(session)))
+    condition = gateway.is_gone(RunRow.owner)
+    if condition is None:
+        condition = RunRow.heartbeat_at < datetime.now(UTC) - STALE_AFTER
+        if starting:
+            condition = or_(condition, RunRow.owner.in_(_gone_or_own(session)))
     rows = session.scalars(
         select(RunRow)
         .where(RunRow.state == "running", RunRow.id.not_in(computing), condition)
-        .with_for_update()
+        .with_for_update(skip_locked=True)
     ).all()
     for row in rows:
         finish(row, "interrupted", "the server ended while it ran; post it again")

@@ -293,6 +293,10 @@ class RemoteStations(Protocol):
         """Note which station a device is of; None: this server itself."""
         ...
 
+    def is_far(self, device_id: str) -> bool:
+        """Whether a device is of a station on another machine, as far as is known here."""
+        ...
+
     def reaches(self, station: str | None) -> bool:
         """Whether a station answers now; None: this server itself."""
         ...

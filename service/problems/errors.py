@@ -185,6 +185,14 @@ class DeviceNotRunning(ServiceError, status=409):
     """What is captured comes from a running device; start it first."""
 
 
+class DeviceElsewhere(ServiceError, status=421):
+    """Another gateway on the same database has the devices; ask that one."""
+
+
+class FileElsewhere(ServiceError, status=421):
+    """The recording or export lies in the data directory of another gateway; ask that one."""
+
+
 class CaptureIncomplete(ServiceError, status=409):
     """Targets of the capture session are not captured yet."""
 

@@ -15,7 +15,7 @@ from service.database.models import ApiKeyRow
 from service.principal import Principal
 from service.problems.errors import NotReady, TooManyAttempts, Unauthenticated
 from service.security import store
-from service.security.login_throttle import LoginThrottle
+from service.security.login_throttle import LoginThrottle, SharedLoginThrottle
 from service.security.store import PREFIX, digest, key_id_of
 from service.settings import Settings
 
@@ -73,7 +73,9 @@ class Authenticator:
 
     def __init__(self, database: Database, settings: Settings) -> None:
         self._database = database
-        self.attempts = LoginThrottle(settings.failed_logins_per_minute)
+        limit = settings.failed_logins_per_minute
+        shared = database.engine.dialect.name == "postgresql"
+        self.attempts = SharedLoginThrottle(limit, database) if shared else LoginThrottle(limit)
         self.failed_logins = 0
         """Keys and tokens that were not valid, those that had to wait included."""
         self.remembered = KeyCache()

@@ -1,4 +1,4 @@
-"""LoginThrottle: limits failed log-ins per address; bounded in memory."""
+"""LoginThrottle: limits failed log-ins per address, of one server or of all on a database."""
 
 import ipaddress
 import time
@@ -8,6 +8,12 @@ from threading import Lock
 from typing import Final
 
 from cachetools import LRUCache
+from sqlalchemy import Double, cast, delete, func, select
+from sqlalchemy.dialects.postgresql import insert
+
+from service.database.engine import Database
+from service.database.models import FailedLoginRow
+from service.problems.errors import NotReady
 
 MAX_ADDRESSES: Final = 10_000
 
@@ -33,8 +39,7 @@ class LoginThrottle:
         """Return how long the address has to wait before it may try again [s]; 0: not at all."""
         with self._lock:
             spent = self._current_count(network(address))
-        over = spent - (self._per_minute - 1)
-        return ceil(over * 60.0 / self._per_minute) if over > 0 else 0
+        return self._wait_s(spent)
 
     def failed(self, address: str) -> None:
         """Count a failure."""
@@ -47,9 +52,57 @@ class LoginThrottle:
         """Addresses that are remembered."""
         return len(self._spent)
 
+    def _wait_s(self, spent: float) -> int:
+        over = spent - (self._per_minute - 1)
+        return ceil(over * 60.0 / self._per_minute) if over > 0 else 0
+
     def _current_count(self, key: str) -> float:
         spent, at = self._spent.get(key, (0.0, 0.0))
         return max(0.0, spent - (self._clock() - at) * self._per_minute / 60.0)
+
+
+class SharedLoginThrottle(LoginThrottle):
+    """The same for all gateways of a PostgreSQL database, which counts what fails at any of them.
+
+    While it does not answer each counts its own.
+
+    Args:
+        per_minute: as of ``LoginThrottle``.
+        database: of all gateways.
+    """
+
+    def __init__(self, per_minute: int, database: Database) -> None:
+        super().__init__(per_minute)
+        self._database = database
+        age_s = cast(func.extract("epoch", func.now() - FailedLoginRow.at), Double)
+        self._emptied = func.greatest(0.0, FailedLoginRow.spent - per_minute / 60.0 * age_s)
+        """What a stored bucket has now."""
+
+    def wait_s(self, address: str) -> int:
+        """Return how long the address has to wait before it may try again [s]; 0: not at all."""
+        query = select(self._emptied).where(FailedLoginRow.network == network(address))
+        try:
+            with self._database.read() as session:
+                spent = session.scalar(query)
+        except NotReady:
+            return super().wait_s(address)
+        return self._wait_s(spent or 0.0)
+
+    def failed(self, address: str) -> None:
+        """Count a failure, and forget addresses whose bucket is empty."""
+        super().failed(address)
+        row = insert(FailedLoginRow).values(network=network(address), spent=1.0, at=func.now())
+        counted = row.on_conflict_do_update(
+            index_elements=["network"], set_={"spent": self._emptied + 1.0, "at": func.now()}
+        )
+        empty = select(FailedLoginRow.network).where(self._emptied == 0.0)
+        empty = empty.with_for_update(skip_locked=True)
+        try:
+            with self._database.write() as session:
+                session.execute(counted)
+                session.execute(delete(FailedLoginRow).where(FailedLoginRow.network.in_(empty)))
+        except NotReady:
+            pass  # logged there, and counted here
 
 
 def network(address: str) -> str:

@@ -10,7 +10,7 @@ from tests.architecture.walks import differences, listed, tracing
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
 MAX_REQUEST = 12
-MAX_CALIBRATION = 29
+MAX_CALIBRATION = 30
 BACKGROUND = {
     "compute.errors",  # of devices that do not run
     "service.api.quality.drift_monitor",

@@ -2601,6 +2601,7 @@ export interface components {
             size_bytes: number;
             /** Format: date-time */
             created_at: string;
+            gateway?: string | null;
             run_id: string | null;
             device_id: string | null;
             recording_id: string | null;
@@ -4754,6 +4755,7 @@ export interface components {
             started_at: string | null;
             /** Format: date-time */
             updated_at: string;
+            gateway?: string | null;
             calibrations: components["schemas"]["UsedCalibration"][];
         };
         RecordingDocument: {
@@ -4773,6 +4775,7 @@ export interface components {
             started_at: string | null;
             /** Format: date-time */
             updated_at: string;
+            gateway?: string | null;
         };
         Reference: {
             id: string;

@@ -52,6 +52,7 @@ def list_beam_holds(
 
 
 @router.operation("POST /beam-holds", "create-beam-hold", "Create a beam hold", status_code=201)
+@raises("device-elsewhere")
 @raises("unknown-device", "unknown-tool", "beam-hold-exists", "too-many-beam-holds")
 @raises("invalid-parameter")
 def create_beam_hold(
@@ -169,6 +170,7 @@ def delete_beam_hold_reference(
 @router.operation(
     "POST /beam-holds/{hold_id}/acknowledge", "acknowledge-beam-hold", "Acknowledge a latched hold"
 )
+@raises("device-elsewhere")
 @raises("unknown-beam-hold")
 def acknowledge_beam_hold(
     hold_id: BeamHoldPath, database: DatabaseDep, live: LiveDep, response: Response
@@ -183,6 +185,7 @@ def acknowledge_beam_hold(
 @router.operation(
     "GET /beam-holds/{hold_id}/state", "get-beam-hold-state", "Whether the beam is held now"
 )
+@raises("device-elsewhere")
 @raises("unknown-beam-hold")
 def get_beam_hold_state(
     hold_id: BeamHoldPath, database: DatabaseDep, live: LiveDep, response: Response

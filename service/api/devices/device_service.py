@@ -22,6 +22,7 @@ from service.api.devices.schema import (
     FusionSource,
     NewDevice,
     Sensor,
+    SimulatedSource,
     Source,
     check_connected_sensors,
     check_sensors,
@@ -34,9 +35,10 @@ from service.api.devices.store import (
     move_pointer,
     previous_activation,
 )
-from service.api.inputs import of_application
+from service.api.inputs import elsewhere, of_application
 from service.api.preconditions import Precondition
 from service.database.engine import Database
+from service.database.gateway import DEVICES, Gateway
 from service.database.models import CalibrationRow, DeviceRow, HoldRow
 from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiometric
 from service.pipeline.device_status import DeviceStatus
@@ -81,6 +83,7 @@ class DeviceService:
         live: the live side.
         folders: where recordings and profiles are.
         stored: reads what other resources store for a device.
+        gateway: this server among those on the database; None: it is alone.
         own: the station that this process is; None: a server; empty: one without devices of its
             own.
         stations: those on other machines; None: there are none.
@@ -92,10 +95,12 @@ class DeviceService:
         live: Pipeline,
         folders: DataFolders,
         stored: StoredContent,
+        gateway: Gateway | None = None,
         own: str | None = None,
         stations: RemoteStations | None = None,
     ) -> None:
         self._database = database
+        self._gateway = Gateway() if gateway is None else gateway
         self._stored = stored
         self._live = live
         self._folders = folders
@@ -112,12 +117,33 @@ class DeviceService:
         with lock:
             yield
 
+    def check_here(self, device_id: str) -> None:
+        """Raise DeviceElsewhere where another gateway has the device; all have a station's."""
+        if self._gateway.holds(DEVICES):
+            return
+        if self._stations is not None:
+            if self._stations.is_far(device_id):
+                return
+            with self._database.read() as session:
+                station = store.get_device(session, device_id).station
+            if station is not None:
+                self._stations.assign(device_id, station)
+                return
+        raise elsewhere(self._gateway, device_id)
+
+    def _check_openable(self, device_id: str, source: Source, station: str | None) -> None:
+        """Raise DeviceElsewhere where only another gateway can open a source."""
+        anywhere = isinstance(source, ExternalSource | FusionSource | SimulatedSource)
+        if station is None and not anywhere and not self._gateway.holds(DEVICES):
+            raise elsewhere(self._gateway, device_id)
+
     def create(self, request: NewDevice) -> Device:
         """Create a device; its sensors come from its driver where it has one.
 
         Raises:
-            DeviceExists, or what the driver raises when it is opened.
+            DeviceExists, DeviceElsewhere, or what the driver raises when it is opened.
         """
+        self._check_openable(request.id, request.source, request.station)
         sensors = self._sensors_of(request.id, request.source, request.station)
         with self._exclusive(request.id):
             with self._database.write() as session:
@@ -162,6 +188,8 @@ class DeviceService:
         given = change.model_fields_set
         target = change.station if "station" in given else station
         sensors = None
+        if "source" in given or target != station:
+            self.check_here(device_id)  # which knows whether it runs
         if "source" in given:
             sensors = self._sensors_of(device_id, change.source, target)
         else:
@@ -181,11 +209,14 @@ class DeviceService:
                     self._refuse_if_nominal(session, device_id, change.source)
                 changed = store.document(session, row)
                 tracked = self._stored.tracking_config(session, row)
+                retracked = "tracking" in given or target != station
+                if retracked:
+                    number = self._announce(session, device_id, target)
             if target != station:
                 self._live.forget_device(device_id)
                 self._assign(device_id, target)
-            if "tracking" in given or target != station:
-                self._apply_tracking_config(device_id, tracked)
+            if retracked:
+                self._apply_tracking_config(device_id, tracked, number)
             return changed
 
     def _sensors_of(self, device_id: str, source: Source, station: str | None) -> list[Sensor]:
@@ -235,21 +266,28 @@ class DeviceService:
             with self._database.write() as session:
                 row = store.get_device(session, device_id, lock=True)
                 expected.check(store.document(session, row))
-                self._assign(device_id, row.station)
+                station = row.station
+                self._assign(device_id, station)
                 store.delete_device(session, device_id, cascade=cascade)
-            self._live.forget_device(device_id)
+                number = self._announce(session, device_id, station)
+            if number is None:
+                self._live.forget_device(device_id)
+            else:
+                self._wait_followed(device_id, number)
 
     def start(self, device_id: str) -> DeviceStatus:
         """Start a device with its active calibration, again if it is running.
 
         Raises:
-            UnknownDevice, DeviceWithoutDriver, SensorsChanged, or what the driver raises when it
-            is opened. A device that is unplugged is no error: it is waited for.
+            UnknownDevice, DeviceWithoutDriver, SensorsChanged, DeviceElsewhere, or what the driver
+            raises when it is opened. A device that is unplugged is no error: it is waited for.
         """
         with self._exclusive(device_id):
             with self._database.read() as session:
                 row = store.get_device(session, device_id)
                 source, station = store.source_of(row), row.station
+                if station is None:
+                    self.check_here(device_id)
                 found = self._active(session, device_id)
                 stored = store.sensors_of_row(row)
                 tracked = self._stored.tracking_config(session, row)
@@ -278,8 +316,13 @@ class DeviceService:
         self._stations.start_at_station(device_id)
 
     def stop(self, device_id: str) -> DeviceStatus:
-        """Stop a device, also while the database does not answer; raises UnknownDevice."""
+        """Stop a device, also while the database does not answer.
+
+        Raises:
+            UnknownDevice, DeviceElsewhere.
+        """
         with self._exclusive(device_id):
+            self.check_here(device_id)
             if self._live.status(device_id).state == "stopped":
                 with self._database.read() as session:
                     store.get_device(session, device_id)
@@ -294,9 +337,10 @@ class DeviceService:
             return row.station, found, self._stored.tracking_config(session, row)
 
     def status(self, device_id: str) -> DeviceStatus:
-        """Return what a device is doing; raises UnknownDevice."""
+        """Return what a device is doing; raises UnknownDevice, DeviceElsewhere."""
         with self._database.read() as session:
             store.get_device(session, device_id)
+        self.check_here(device_id)
         self._live.refresh()
         return self._live.status(device_id)
 
@@ -332,7 +376,8 @@ class DeviceService:
                     device = store.get_device(session, device_id)
                     check_sensors(device_id, store.sensors_of_row(device), found.calibration.models)
                     self._check_nominal(found, device)
-            self._activate(device_id, found)
+                number = self._announce(session, device_id, _station_of(session, device_id))
+            self._activate(device_id, found, number)
 
     def _check_nominal(self, found: ActiveCalibration, device: DeviceRow) -> None:
         """Raise NominalCalibrationMismatch where a calibration is not of the device's source."""
@@ -361,7 +406,8 @@ class DeviceService:
                 store.get_device(session, device_id, lock=True)
                 yield session
                 found = self._active(session, device_id)
-            self._activate(device_id, found)
+                number = self._announce(session, device_id, _station_of(session, device_id))
+            self._activate(device_id, found, number)
 
     def _active(self, session: Session, device_id: str) -> ActiveCalibration:
         """Return what a device uses: calibration, correction table, radiometric calibration."""
@@ -371,7 +417,13 @@ class DeviceService:
             return found
         return replace(found, radiometric=self._stored.active_radiometric(session, radiometric_id))
 
-    def _activate(self, device_id: str, found: ActiveCalibration) -> None:
+    def _activate(
+        self, device_id: str, found: ActiveCalibration, elsewhere: int | None = None
+    ) -> None:
+        """Let the running device use a calibration; ``elsewhere``: number of the change there."""
+        if elsewhere is not None:
+            self._wait_followed(device_id, elsewhere)
+            return
         try:
             self._live.set_calibration(device_id, found)
         except StationNotReached:
@@ -407,9 +459,15 @@ class DeviceService:
                 device = store.get_device(session, device_id, lock=True)
                 yield session
                 tracked = self._stored.tracking_config(session, device)
-            self._apply_tracking_config(device_id, tracked)
+                number = self._announce(session, device_id, device.station)
+            self._apply_tracking_config(device_id, tracked, number)
 
-    def _apply_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
+    def _apply_tracking_config(
+        self, device_id: str, tracked: TrackingConfig, elsewhere: int | None = None
+    ) -> None:
+        if elsewhere is not None:
+            self._wait_followed(device_id, elsewhere)
+            return
         try:
             self._live.set_tracking_config(device_id, tracked)
         except StationNotReached:
@@ -417,10 +475,50 @@ class DeviceService:
         except Exception:  # noqa: BLE001 - committed: an error would say that it was not
             _log.exception("device %s does not follow its tools as stored yet", device_id)
 
+    def _announce(self, session: Session, device_id: str, station: str | None) -> int | None:
+        """Announce a change of a device to the gateway that has it; a station is told by the bus.
+
+        Returns:
+            As of ``Gateway.announce_change``; None for a device of a station.
+        """
+        return None if station is not None else self._gateway.announce_change(session, device_id)
+
+    def _wait_followed(self, device_id: str, number: int) -> None:
+        """Wait until the gateway with the devices does as was committed, which happens anyway."""
+        try:
+            if not self._gateway.wait_followed(device_id, number):
+                _log.warning("device %s does not follow its change %d yet", device_id, number)
+        except LumilineError as error:
+            _log.warning("device %s: its change %d: %s", device_id, number, error.detail)
+
+    def follow(self, device_id: str) -> None:
+        """Let a device use what the database says, which other gateways have changed."""
+        with self._exclusive(device_id):
+            with self._database.read() as session:
+                row = session.get(DeviceRow, device_id)
+                if row is not None:
+                    found = self._active(session, device_id)
+                    tracked = self._stored.tracking_config(session, row)
+                    station = row.station
+            if row is None:
+                self._live.forget_device(device_id)
+                return
+            if station != self._own:
+                self._assign(device_id, station)
+                return
+            self._activate(device_id, found)
+            self._apply_tracking_config(device_id, tracked)
+
+    def give_up(self) -> None:
+        """Stop all devices and end their streams: another gateway has them now."""
+        for device_id in {*self._live.statuses(), *self._live.holds.all()}:
+            if self._stations is None or not self._stations.is_far(device_id):
+                with self._exclusive(device_id):
+                    self._live.forget_device(device_id)
+
     def _monitor_beam_holds(self) -> None:
         """Let the live side know the beam holds of devices that do not run yet."""
         with self._database.read() as session:
-            self._assign_all(session)
             having = select(DeviceRow).where(
                 DeviceRow.id.in_(select(HoldRow.device_id)), _is_of(self._own)
             )
@@ -429,8 +527,11 @@ class DeviceService:
         for device_id, tracked in known:
             self._apply_tracking_config(device_id, tracked)
 
-    def _assign_all(self, session: Session) -> None:
-        for device_id, station in session.execute(select(DeviceRow.id, DeviceRow.station)):
+    def assign_stations(self) -> None:
+        """Let the live side know where all devices are."""
+        with self._database.read() as session:
+            stations = session.execute(select(DeviceRow.id, DeviceRow.station)).all()
+        for device_id, station in stations:
             self._assign(device_id, station)
 
     def autostart(self, *also: str) -> None:
@@ -499,6 +600,10 @@ def _check_precondition(
             device_id=device_id,
             active=None if now is None else now.calibration_id,
         )
+
+
+def _station_of(session: Session, device_id: str) -> str | None:
+    return store.get_device(session, device_id).station
 
 
 def _where(station: str | None) -> str:

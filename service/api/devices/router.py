@@ -104,6 +104,7 @@ def list_devices(database: DatabaseDep, paging: PagingDep) -> Page[Device]:
 
 
 @router.operation("POST", "create-device", "Create a device", status_code=201)
+@raises("device-elsewhere")
 @raises("device-exists", "device-not-connected", "unknown-recording", "unknown-device-profile")
 @raises("unknown-device")
 @raises("invalid-parameter", "invalid-recording", "missing-library")
@@ -129,6 +130,7 @@ def get_device(device_id: DevicePath, database: DatabaseDep) -> Device:
 
 
 @router.operation("PATCH /{device_id}", "change-device", "Change a device")
+@raises("device-elsewhere")
 @raises("unknown-device", "unknown-recording", "unknown-device-profile", "device-in-use")
 @raises("device-running", "device-not-connected", "invalid-parameter", "invalid-recording")
 @raises("missing-library")
@@ -166,6 +168,7 @@ def delete_device(
 
 
 @router.operation("POST /{device_id}/start", "start-device", "Start a device")
+@raises("device-elsewhere")
 @raises("unknown-device", "unknown-recording", "unknown-device-profile", "device-without-driver")
 @raises("sensors-changed", "invalid-parameter", "invalid-recording")
 def start_device(device_id: DevicePath, device_service: DeviceServiceDep) -> DeviceStateDocument:
@@ -177,6 +180,7 @@ def start_device(device_id: DevicePath, device_service: DeviceServiceDep) -> Dev
 
 
 @router.operation("POST /{device_id}/stop", "stop-device", "Stop a device")
+@raises("device-elsewhere")
 @raises("unknown-device")
 def stop_device(device_id: DevicePath, device_service: DeviceServiceDep) -> DeviceStateDocument:
     """Stop the device; nothing happens when it is not running."""
@@ -184,6 +188,7 @@ def stop_device(device_id: DevicePath, device_service: DeviceServiceDep) -> Devi
 
 
 @router.operation("GET /{device_id}/state", "get-device-state", "What a device is doing")
+@raises("device-elsewhere")
 @raises("unknown-device")
 def get_device_state(
     device_id: DevicePath, device_service: DeviceServiceDep

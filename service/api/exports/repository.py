@@ -5,12 +5,20 @@ import shutil
 from collections.abc import Callable, Collection
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from compute.errors import InvalidParameter
 from service.api.base_models import SLUG_PATTERN
 from service.api.exports.schema import FORMATS, ExportFile, Format
-from service.problems.errors import ExportExists, InsufficientStorage, UnknownExport
+from service.problems.errors import (
+    ExportExists,
+    FileElsewhere,
+    InsufficientStorage,
+    UnknownExport,
+)
+
+if TYPE_CHECKING:
+    from service.database.stored_files import StoredFiles
 
 _UNFINISHED: Final = ".unfinished"
 MEDIA_TYPES: Final[dict[str, str]] = {
@@ -28,14 +36,47 @@ class ExportRepository:
     Args:
         folder: the data directory's folder ``exports``; made when it is first written to.
         free_bytes: what is left free on its disk.
+        stored: exports of other gateways on the same database; None: there are none.
     """
 
-    def __init__(self, folder: Path, free_bytes: int = 0) -> None:
+    def __init__(
+        self, folder: Path, free_bytes: int = 0, stored: "StoredFiles | None" = None
+    ) -> None:
         self.folder = folder
+        self._stored = stored
         self.free_bytes = free_bytes
 
     def all(self) -> list[ExportFile]:
-        """Return all files."""
+        """Return all files, also those that other gateways have."""
+        found = self._own()
+        here = {one.id for one in found}
+        others = {} if self._stored is None else self._stored.others()
+        return found + [
+            ExportFile.model_validate(one.document | {"gateway": one.gateway})
+            for name, one in others.items()
+            if name not in here
+        ]
+
+    def announce_files(self) -> None:
+        """List the files of this server for other gateways."""
+        if self._stored is not None:
+            files = {
+                one.id: (round(one.created_at.timestamp() * 1e9), one.model_dump(mode="json"))
+                for one in self._own()
+            }
+            self._stored.publish(files, frozenset())
+
+    def document(self, export_id: str) -> ExportFile:
+        """Return an export's document, also of another gateway's; raises UnknownExport."""
+        try:
+            return self.find(export_id)[1]
+        except FileElsewhere:
+            found = {one.id: one for one in self.all()}
+            if export_id in found:
+                return found[export_id]
+            raise
+
+    def _own(self) -> list[ExportFile]:
         found = []
         for path in self.folder.glob("*.*"):
             name = _split_name(path)
@@ -48,13 +89,21 @@ class ExportRepository:
         return found
 
     def find(self, export_id: str) -> tuple[Path, ExportFile]:
-        """Return an export's path and document; raises UnknownExport."""
+        """Return an export's path and document.
+
+        Raises:
+            UnknownExport.
+            FileElsewhere: another gateway has it.
+        """
         for kind in FORMATS:
             path = self._path(export_id, kind)
             try:
                 return path, _document(path, export_id, kind)
             except OSError:
                 continue
+        other = None if self._stored is None else self._stored.other(export_id)
+        if other is not None:
+            raise other.elsewhere("export")
         raise UnknownExport(
             f'there is no export "{export_id}"; GET /api/v1/exports lists them', export_id=export_id
         )
@@ -67,6 +116,8 @@ class ExportRepository:
             self.find(export_id)
         except UnknownExport:
             return
+        except FileElsewhere:
+            pass
         raise ExportExists(
             f'export "{export_id}" exists already; choose another result_id, leave it out, or '
             "delete that one",

@@ -50,7 +50,7 @@ def list_exports(exports: ExportsDep, database: DatabaseDep, paging: PagingDep) 
 @raises("unknown-export")
 def get_export(export_id: ExportPath, exports: ExportsDep, database: DatabaseDep) -> Export:
     """Source, format and size of an export."""
-    _, found = exports.find(export_id)
+    found = exports.document(export_id)
     with database.read() as session:
         return _with_run(session, found)
 
@@ -65,7 +65,7 @@ def get_export(export_id: ExportPath, exports: ExportsDep, database: DatabaseDep
     },
     response_class=FileResponse,
 )
-@raises("unknown-export")
+@raises("unknown-export", "file-elsewhere")
 def download_export(export_id: ExportPath, exports: ExportsDep) -> FileResponse:
     """The file, or the part of it that the header `Range` asks for."""
     path, found = exports.find(export_id)
@@ -73,7 +73,7 @@ def download_export(export_id: ExportPath, exports: ExportsDep) -> FileResponse:
 
 
 @router.operation("DELETE /exports/{export_id}", "delete-export", "Delete an export")
-@raises("unknown-export")
+@raises("unknown-export", "file-elsewhere")
 def delete_export(export_id: ExportPath, exports: ExportsDep) -> None:
     """Delete the file; the recording and the run stay."""
     exports.delete(export_id)

@@ -54,6 +54,11 @@ class ExportFile(ResponseModel):
     media_type: str
     size_bytes: int
     created_at: Moment
+    gateway: str | None = Field(
+        default=None,
+        description="The gateway that has the file in its data directory, and alone gives it; "
+        "null: the one that answers.",
+    )
 
 
 class Export(ExportFile):

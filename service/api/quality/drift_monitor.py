@@ -1,6 +1,7 @@
 """DriftMonitor: a thread that taps running devices and stores statistics of each interval."""
 
 import logging
+from collections.abc import Callable
 from datetime import UTC, datetime
 from threading import Event, Thread
 from typing import Final
@@ -27,11 +28,17 @@ class DriftMonitor:
         database: where settings are read and samples stored.
         live: the live pipeline.
         look_s: how often it looks which devices run.
+        is_mine: whether this server watches a device, of several that may see it.
     """
 
     def __init__(
-        self, database: Database, live: Pipeline, sample_interval_s: float = LOOK_S
+        self,
+        database: Database,
+        live: Pipeline,
+        sample_interval_s: float = LOOK_S,
+        is_mine: Callable[[str], bool] = lambda _: True,
     ) -> None:
+        self._is_mine = is_mine
         self._database = database
         self._live = live
         self._sample_interval_s = sample_interval_s
@@ -85,6 +92,8 @@ class DriftMonitor:
             self._taps[device_id] = (running, tap)
 
     def _session(self, device_id: str) -> RunningDevice | None:
+        if not self._is_mine(device_id):
+            return None
         try:
             return self._live.session(device_id)
         except LumilineError:

@@ -4,6 +4,7 @@ import logging
 import shutil
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Event, Lock, Thread
@@ -15,6 +16,7 @@ from service.api.paging import Page, Paging, page_of_sequence
 from service.api.recordings.recorder import Recorder, WriteCounters, writer_job
 from service.api.recordings.repository import RecordingRepository, unread
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
+from service.database.stored_files import StoredFile, StoredFiles
 from service.pipeline.interface import Pipeline, RunningDevice
 from service.problems.errors import (
     InsufficientStorage,
@@ -42,12 +44,19 @@ class RecordingManager:
         folder: where recordings lie.
         free_bytes: what they leave free on the disk.
         flush_s: how often they are flushed [s].
+        stored: recordings of other gateways on the same database; None: there are none.
     """
 
     def __init__(
-        self, live: Pipeline, folder: Path, free_bytes: int = 0, flush_s: float = 1.0
+        self,
+        live: Pipeline,
+        folder: Path,
+        free_bytes: int = 0,
+        flush_s: float = 1.0,
+        stored: StoredFiles | None = None,
     ) -> None:
         self.library = RecordingRepository(folder)
+        self._stored = stored
         self._live = live
         self.free_bytes = free_bytes
         self._flush_s = flush_s
@@ -93,6 +102,7 @@ class RecordingManager:
         try:
             if job.path.exists():
                 raise _exists(name)
+            self._list_begun(name, device_id, begin)
             try:
                 recorder = Recorder(job, session)
             except OSError as error:
@@ -102,6 +112,10 @@ class RecordingManager:
             with self._lock:
                 self._failed.pop(name, None)
                 self._active[name] = recorder
+        except Exception:
+            if self._stored is not None and not job.path.exists():
+                self._stored.discard(name)
+            raise
         finally:
             with self._lock:
                 del self._starting[name]
@@ -110,6 +124,52 @@ class RecordingManager:
         if self._closing.is_set():
             recorder.stop(_SHUT_DOWN)
         return self.get(name)
+
+    def _list_begun(self, name: str, device_id: str, begin: datetime) -> None:
+        """Let other gateways know the recording; raises RecordingExists where one has its name."""
+        if self._stored is None:
+            return
+        document = _begun(name, device_id, begin).model_dump(mode="json")
+        taken = self._stored.begin(name, document, time.time_ns())
+        if taken is not None:
+            raise RecordingExists(
+                f'gateway "{taken.gateway}" has a recording "{name}"; choose another name',
+                recording_id=name,
+                gateway=taken.gateway,
+            )
+
+    def announce_files(self) -> None:
+        """List the recordings of this server for other gateways."""
+        if self._stored is None:
+            return
+        with self._lock:
+            written = frozenset(
+                name for name, one in self._active.items() if one.status.ended is None
+            ) | frozenset(self._starting)
+        found = {}
+        for name, changed_ns in self.library.files():
+            with suppress(UnknownRecording, OSError):  # gone meanwhile
+                document = self.library.detail(self._document(name))
+                found[name] = changed_ns, document.model_dump(mode="json")
+        self._stored.publish(found, written)
+
+    def _other(self, name: str) -> StoredFile | None:
+        return None if self._stored is None else self._stored.other(name)
+
+    def path(self, name: str) -> Path:
+        """Return the path of a recording of this server.
+
+        Raises:
+            UnknownRecording.
+            FileElsewhere: another gateway has it.
+        """
+        try:
+            return self.library.path(name)
+        except UnknownRecording:
+            other = self._other(name)
+            if other is None:
+                raise
+            raise other.elsewhere("recording") from None
 
     def _reserve(self, name: str, device_id: str) -> None:
         """Let no other recording of the name, or of the device, begin meanwhile."""
@@ -134,9 +194,13 @@ class RecordingManager:
 
         Raises:
             UnknownRecording: there is none of the name.
+            FileElsewhere: another gateway writes it.
         """
         with self._lock:
             recorder = self._active.get(name)
+        other = None if recorder is not None else self._other(name)
+        if other is not None and other.document["state"] == "recording":
+            raise other.elsewhere("recording")
         if recorder is not None:
             recorder.session.detach(recorder)
             recorder.stop("stopped by request")
@@ -145,8 +209,18 @@ class RecordingManager:
         return self.get(name)
 
     def get(self, name: str) -> RecordingDetail:
-        """Return a recording; raises UnknownRecording."""
+        """Return a recording, of another gateway as that listed it; raises UnknownRecording."""
+        other = self._other(name)
+        if other is not None and (other.here or not self._is_here(name)):
+            return RecordingDetail.model_validate(other.document | {"gateway": other.gateway})
         return self.library.detail(self._document(name))
+
+    def _is_here(self, name: str) -> bool:
+        try:
+            self.library.path(name)
+        except UnknownRecording:
+            return False
+        return True
 
     def open_recording(self, device_id: str) -> str | None:
         """Return the recording of a device that is being written, None without one."""
@@ -158,26 +232,42 @@ class RecordingManager:
 
     def page(self, device_id: str | None, paging: Paging) -> Page[RecordingDocument]:
         """Return a page of recordings, those that were changed last first."""
-        files = self.library.files()
+        others = {} if self._stored is None else self._stored.others()
+        files = dict(self.library.files())
+        # What another gateway writes into a shared directory is as that says.
+        others = {name: one for name, one in others.items() if one.here or name not in files}
+        files |= {name: one.changed_ns for name, one in others.items()}
+
+        def listed(file: tuple[str, int]) -> RecordingDocument | None:
+            other = others.get(file[0])
+            return self.listed(file[0]) if other is None else _of_other(other)
+
+        found = list(files.items())
         if device_id is not None:
-            files = [
-                (name, changed_ns)
-                for name, changed_ns in files
-                if (found := self.listed(name)) is not None and found.device_id == device_id
+            found = [
+                file
+                for file in found
+                if (document := listed(file)) is not None and document.device_id == device_id
             ]
-        return page_of_sequence(
-            files, paging, lambda file: self.listed(file[0]), lambda file: (-file[1], file[0])
-        )
+        return page_of_sequence(found, paging, listed, lambda file: (-file[1], file[0]))
 
     def finished_path(self, name: str) -> Path:
         """Return the path of a recording that is not being written.
 
         Raises:
             UnknownRecording, RecordingInProgress.
+            FileElsewhere: another gateway has it.
         """
-        path = self.library.path(name)
+        path = self.path(name)
         with self._lock:
             recorder, starting = self._active.get(name), name in self._starting
+        other = None if recorder is not None else self._other(name)
+        if other is not None and other.here and other.document["state"] == "recording":
+            raise RecordingInProgress(
+                f'recording "{name}" is being written by gateway "{other.gateway}"; stop it there '
+                "first",
+                recording_id=name,
+            )
         if starting or (recorder is not None and recorder.status.ended is None):
             raise RecordingInProgress(
                 f'recording "{name}" is being written; stop it first', recording_id=name
@@ -233,6 +323,8 @@ class RecordingManager:
                     name,
                     _SHUTDOWN_S,
                 )
+        if self._stored is not None:
+            self._settle()
 
     def _watch(self) -> None:
         """End recordings whose device has ended, and forget those that have."""
@@ -249,6 +341,7 @@ class RecordingManager:
 
     def _settle(self) -> None:
         """Detach and forget recordings that have ended."""
+        ended = []
         with self._lock:
             for name, recorder in list(self._active.items()):
                 if recorder.status.ended is None:
@@ -259,8 +352,16 @@ class RecordingManager:
                 if recorder.status.failed:
                     self._failed[name] = recorder.status.ended
                 del self._active[name]
+                ended.append(name)
                 device = recorder.session.device_id
                 self._past[device] = self._past.get(device, WriteCounters()).with_recorder(recorder)
+        if self._stored is None:
+            return
+        for name in ended:
+            with suppress(UnknownRecording, OSError):
+                changed_ns = self.library.path(name).stat().st_mtime_ns
+                document = self.library.detail(self._document(name)).model_dump(mode="json")
+                self._stored.end(name, document, changed_ns)
 
     def listed(self, name: str) -> RecordingDocument | None:
         """Return the document of a recording of a list; None: it was deleted meanwhile."""
@@ -281,6 +382,18 @@ class RecordingManager:
         if failure is not None and document.state != "complete":
             return document.model_copy(update={"state": "failed", "reason": failure})
         return document
+
+
+def _begun(name: str, device_id: str, begin: datetime) -> RecordingDetail:
+    """Return a recording of which nothing is written yet."""
+    members = unread("recording", None) | {"device_id": device_id, "started_at": begin}
+    return RecordingDetail(**members, id=name, size_bytes=0, updated_at=begin, calibrations=[])
+
+
+def _of_other(other: StoredFile) -> RecordingDocument:
+    members = other.document | {"gateway": other.gateway}
+    del members["calibrations"]
+    return RecordingDocument.model_validate(members)
 
 
 def _of_recorder(name: str, recorder: Recorder) -> RecordingDocument:

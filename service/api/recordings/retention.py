@@ -82,6 +82,7 @@ class RecordingRetention:
         database: tells what refers to a recording, and has the audit log.
         limits: of the settings.
         now: the time.
+        is_mine: whether this server tidies the folder, which several may share.
     """
 
     def __init__(
@@ -90,8 +91,11 @@ class RecordingRetention:
         database: Database,
         limits: RetentionLimits,
         now: Callable[[], datetime] = _utc_now,
+        is_mine: Callable[[], bool] = lambda: True,
     ) -> None:
         self.limits = limits
+        self._is_mine = is_mine
+        self._woken = Event()
         self._recordings = recordings
         self._database = database
         self._now = now
@@ -128,16 +132,23 @@ class RecordingRetention:
     def close(self) -> None:
         """End the thread."""
         self._ended.set()
+        self._woken.set()
         if self._thread.is_alive():
             self._thread.join(10.0)
+
+    def wake(self) -> None:
+        """Check now: the folder has just become this server's to tidy."""
+        self._woken.set()
 
     def _run(self) -> None:
         while not self._ended.is_set():
             try:
-                self.check()
+                if self._is_mine():
+                    self.check()
             except Exception:  # noqa: BLE001 - the next check may work
                 _log.exception("old recordings are not looked for now")
-            self._ended.wait(INTERVAL_S)
+            self._woken.wait(INTERVAL_S)
+            self._woken.clear()
 
     def check(self) -> None:
         """Delete recordings over a limit that nothing uses; one check at a time."""

@@ -10,6 +10,7 @@ from service.api.base_models import SLUG_PATTERN
 from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.store import get_calibration
 from service.api.devices import store
+from service.api.devices.device_service import DeviceServiceDep
 from service.api.devices.schema import RECORDING_PATTERN
 from service.api.inputs import (
     DatabaseDep,
@@ -76,6 +77,7 @@ def start_recording(
     request: NewRecordingBody,
     database: DatabaseDep,
     recordings: RecordingsDep,
+    device_service: DeviceServiceDep,
     response: Response,
 ) -> RecordingDetail:
     """Record a running device from its next frame on, until it is stopped or a limit is reached.
@@ -85,6 +87,7 @@ def start_recording(
     """
     with database.read() as session:
         store.get_device(session, device_id)
+    device_service.check_here(device_id)
     begun = recordings.start(device_id, request)
     response.headers["Location"] = f"/api/v1/recordings/{begun.id}"
     return begun
@@ -108,7 +111,7 @@ def get_recording_retention(retention: RetentionDep) -> RetentionDocument:
 
 # The paths that go on from a name come first: a name may have slashes in it.
 @router.operation("POST /recordings/{recording_id:path}/stop", "stop-recording", "End a recording")
-@raises("unknown-recording")
+@raises("unknown-recording", "file-elsewhere")
 def stop_recording(recording_id: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
     """End a recording and close its file; one that has ended stays as it is."""
     return recordings.stop(recording_id)
@@ -124,7 +127,7 @@ def stop_recording(recording_id: BegunPath, recordings: RecordingsDep) -> Record
     },
     response_class=FileResponse,
 )
-@raises("unknown-recording", "recording-in-progress")
+@raises("unknown-recording", "recording-in-progress", "file-elsewhere")
 def download_recording(recording_id: FinishedPath, recordings: RecordingsDep) -> FileResponse:
     """The file, or the part of it that the header `Range` asks for.
 
@@ -141,7 +144,7 @@ def download_recording(recording_id: FinishedPath, recordings: RecordingsDep) ->
     response_model=RecordedFrames,
 )
 @raises("unknown-recording", "invalid-recording", "invalid-parameter", "unknown-calibration")
-@raises("sensors-changed", "busy")
+@raises("sensors-changed", "busy", "file-elsewhere")
 def get_recorded_frames(
     recording_id: FinishedPath,
     recordings: RecordingsDep,
@@ -175,7 +178,7 @@ def get_recorded_frames(
     Tracks and tools go on from the frames of earlier requests; after a jump they begin some hundred
     frames before the first. Damaged frames before the first are left out.
     """
-    path = recordings.library.path(recording_id)
+    path = recordings.path(recording_id)
     if calibration_id is None and not tracking:
         document = recorded_frames(path, recording_id, first, count).model_dump_json()
     else:
@@ -197,7 +200,7 @@ def get_recorded_frames(
     "Look at the scans of a recorded frame",
     response_model=DeviceScans,
 )
-@raises("unknown-recording", "invalid-recording", "invalid-parameter")
+@raises("unknown-recording", "invalid-recording", "invalid-parameter", "file-elsewhere")
 def get_recorded_scans(
     recording_id: FinishedPath,
     recordings: RecordingsDep,
@@ -211,7 +214,7 @@ def get_recorded_scans(
     Peaks are the recorded ones; without results they are found now. Levels and fits are those
     without a radiometric calibration.
     """
-    path = recordings.library.path(recording_id)
+    path = recordings.path(recording_id)
     found = recorded_scans(path, recording_id, number, detail_sensor)
     return Response(found.model_dump_json(), media_type="application/json")
 
@@ -226,7 +229,7 @@ def get_recording(recording_id: BegunPath, recordings: RecordingsDep) -> Recordi
 @router.operation(
     "DELETE /recordings/{recording_id:path}", "delete-recording", "Delete a recording"
 )
-@raises("unknown-recording", "recording-in-progress", "recording-in-use")
+@raises("unknown-recording", "recording-in-progress", "recording-in-use", "file-elsewhere")
 def delete_recording(
     recording_id: FinishedPath, database: DatabaseDep, recordings: RecordingsDep
 ) -> None:

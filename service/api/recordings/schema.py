@@ -86,6 +86,11 @@ class RecordingDocument(ResponseModel):
     size_bytes: int
     started_at: Moment | None
     updated_at: Moment
+    gateway: str | None = Field(
+        default=None,
+        description="The gateway that has the file in its data directory, or writes it there; "
+        "null: the one that answers. Only that one gives more than this.",
+    )
 
 
 class RecordedPoint(ResponseModel):

@@ -14,7 +14,7 @@ from service.api.devices.store import get_device, sensors_of_row
 from service.api.exports.examples import NEW_EXPORT_RUNS
 from service.api.exports.router import ExportsDep
 from service.api.exports.schema import NewExportRun
-from service.api.inputs import DatabaseDep, JsonTypes, RunsDep, SettingsDep
+from service.api.inputs import DatabaseDep, GatewayDep, JsonTypes, RunsDep, SettingsDep
 from service.api.openapi import ResourceRouter, raises
 from service.api.recordings.recording_manager import RecordingsDep
 from service.api.runs.examples import (
@@ -53,8 +53,14 @@ class Submission:
     """Takes the runs of one request."""
 
     def __init__(
-        self, database: DatabaseDep, runs: RunsDep, settings: SettingsDep, response: Response
+        self,
+        database: DatabaseDep,
+        runs: RunsDep,
+        settings: SettingsDep,
+        gateway: GatewayDep,
+        response: Response,
     ) -> None:
+        self._gateway = gateway
         self._database, self._runs, self._response = database, runs, response
         self._max_waiting = settings.runs_waiting
 
@@ -64,6 +70,8 @@ class Submission:
         device_id: str,
         run_id: str | None,
         stored: Callable[[Session, DeviceRow], dict[str, Any]],
+        *,
+        files: bool = False,
     ) -> Run:
         """Store a run, wake the run manager, and answer with the run's location.
 
@@ -72,6 +80,7 @@ class Submission:
             device_id: of the device.
             run_id: the run's id; None: the server's choice.
             stored: checks the request, the device being locked, and returns it as it is stored.
+            files: whether it reads or writes files of this server's data directory.
 
         Raises:
             UnknownDevice, RunExists, Busy: as they say, and what ``stored`` raises.
@@ -79,7 +88,13 @@ class Submission:
         with self._database.write() as session:
             device = get_device(session, device_id, lock=True)
             row = store.add_run(
-                session, kind, device.id, stored(session, device), self._max_waiting, run_id
+                session,
+                kind,
+                device.id,
+                stored(session, device),
+                self._max_waiting,
+                run_id,
+                self._gateway.directory_id if files and self._gateway.shared else None,
             )
             made = run_document(row)
         self._runs.submitted()
@@ -265,7 +280,7 @@ def create_update_run(request: NewUpdateRunBody, submission: SubmissionDep) -> R
 )
 @raises("unknown-device", "unknown-recording", "unknown-tool", "unknown-calibration")
 @raises("unknown-correction-table", "run-exists", "export-exists", "recording-in-progress")
-@raises("invalid-parameter", "insufficient-storage", "busy")
+@raises("invalid-parameter", "insufficient-storage", "busy", "file-elsewhere")
 def create_export_run(
     request: NewExportRunBody,
     submission: SubmissionDep,
@@ -288,4 +303,4 @@ def create_export_run(
         exports.check_unused(request.result_id)
         return export.request_of(session, device, request)
 
-    return submission.run("export", request.device_id, request.id, stored)
+    return submission.run("export", request.device_id, request.id, stored, files=True)

@@ -24,7 +24,7 @@ FramePath = Annotated[
 @router.operation(
     "GET /{device_id}/frames", "get-frames", "A device's frames, and what connects them now"
 )
-@raises("unknown-device")
+@raises("unknown-device", "device-elsewhere")
 def get_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> FrameList:
     """The tracker's frame, those of the tools, and the registered ones.
 
@@ -56,7 +56,7 @@ def get_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> F
     "get-frame-transform",
     "The transform from one frame to another now",
 )
-@raises("unknown-device", "unknown-frame")
+@raises("unknown-device", "unknown-frame", "device-elsewhere")
 def get_frame_transform(
     device_id: DevicePath,
     frame_id: FramePath,

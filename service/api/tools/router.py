@@ -171,6 +171,7 @@ def delete_tool(
 
 
 @router.operation("GET /tools/{tool_id}/pose", "get-tool-pose", "Where a tool is now")
+@raises("device-elsewhere")
 @raises("unknown-tool", "invalid-parameter")
 def get_tool_pose(
     tool_id: ToolPath,

@@ -12,6 +12,7 @@ from compute.camera.model import SensorGeometry
 from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.store import active_id, get_calibration
 from service.api.captures.store import check_sensors_now
+from service.api.devices.device_service import DeviceServiceDep
 from service.api.devices.store import get_device
 from service.api.inputs import (
     DatabaseDep,
@@ -87,24 +88,33 @@ def create_capture(
 @router.operation(
     "GET /{wave_capture_id}", "get-wave-capture", "What is covered and what is missing"
 )
-@raises("unknown-wave-capture")
+@raises("unknown-wave-capture", "device-elsewhere")
 def get_capture(
-    wave_capture_id: WaveCapturePath, database: DatabaseDep, waves: WavesDep
+    wave_capture_id: WaveCapturePath,
+    database: DatabaseDep,
+    waves: WavesDep,
+    device_service: DeviceServiceDep,
 ) -> WaveCapture:
     """One session; while poses are taken, as it is now."""
     running = waves.progress(wave_capture_id)
     with database.read() as session:
-        return store.document(store.WAVE_CAPTURES.get(session, wave_capture_id), running)
+        row = store.WAVE_CAPTURES.get(session, wave_capture_id)
+        if row.ended is None:
+            device_service.check_here(row.device_id)
+        return store.document(row, running)
 
 
 @router.operation("DELETE /{wave_capture_id}", "delete-wave-capture", "Cancel or delete a capture")
-@raises("unknown-wave-capture")
+@raises("unknown-wave-capture", "device-elsewhere")
 def delete_capture(
-    wave_capture_id: WaveCapturePath, database: DatabaseDep, waves: WavesDep
+    wave_capture_id: WaveCapturePath,
+    database: DatabaseDep,
+    waves: WavesDep,
+    device_service: DeviceServiceDep,
 ) -> None:
     """Delete a session, also while poses are taken; runs that were posted with it keep theirs."""
     with database.read() as session:
-        store.WAVE_CAPTURES.get(session, wave_capture_id)
+        device_service.check_here(store.WAVE_CAPTURES.get(session, wave_capture_id).device_id)
     waves.discard(wave_capture_id)
     with database.write() as session:
         session.delete(store.WAVE_CAPTURES.get(session, wave_capture_id, lock=True))
@@ -116,7 +126,10 @@ def delete_capture(
 @raises("unknown-wave-capture", "device-not-running", "capture-of-another-device")
 @raises("invalid-parameter", "busy")
 def start_capture(
-    wave_capture_id: WaveCapturePath, database: DatabaseDep, waves: WavesDep
+    wave_capture_id: WaveCapturePath,
+    database: DatabaseDep,
+    waves: WavesDep,
+    device_service: DeviceServiceDep,
 ) -> WaveCapture:
     """Take poses of the running device from now on, beside those that were taken before.
 
@@ -126,6 +139,7 @@ def start_capture(
     """
     with database.read() as session:
         row = store.WAVE_CAPTURES.get(session, wave_capture_id)
+        device_service.check_here(row.device_id)
         check_sensors_now(session, row)
         sensors = _sensors(row.sensors)
         active = active_id(session, row.device_id)
@@ -147,11 +161,16 @@ def start_capture(
 
 
 @router.operation("POST /{wave_capture_id}/stop", "stop-wave-capture", "Take no more poses")
-@raises("unknown-wave-capture")
+@raises("unknown-wave-capture", "device-elsewhere")
 def stop_capture(
-    wave_capture_id: WaveCapturePath, database: DatabaseDep, waves: WavesDep
+    wave_capture_id: WaveCapturePath,
+    database: DatabaseDep,
+    waves: WavesDep,
+    device_service: DeviceServiceDep,
 ) -> WaveCapture:
     """Take no more poses, and store those taken; nothing changes where none are being taken."""
+    with database.read() as session:
+        device_service.check_here(store.WAVE_CAPTURES.get(session, wave_capture_id).device_id)
     waves.stop(wave_capture_id)
     with database.read() as session:
         row = store.WAVE_CAPTURES.get(session, wave_capture_id)

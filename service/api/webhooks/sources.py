@@ -74,13 +74,30 @@ class DeviceEvents:
 
 
 class EventSources:
-    """Watches holds and devices of a server until it is closed."""
+    """Watches holds and devices of a server until it is closed.
 
-    def __init__(self, live: Pipeline, emit: Emit, look_s: float = LOOK_S) -> None:
+    Args:
+        live: the live pipeline.
+        emit: takes the events.
+        look_s: how often it looks how devices stand.
+        is_mine: whether this server tells of a device, of several that may see it.
+    """
+
+    def __init__(
+        self,
+        live: Pipeline,
+        emit: Emit,
+        look_s: float = LOOK_S,
+        is_mine: Callable[[str], bool] = lambda _: True,
+    ) -> None:
+        def emit_mine(event_type: str, data: dict[str, Any]) -> None:
+            if is_mine(data["device_id"]):
+                emit(event_type, data)
+
         self._live = live
         self._look_s = look_s
-        self._devices = DeviceEvents(emit)
-        self._end_holds = live.holds.listen(HoldEvents(emit))
+        self._devices = DeviceEvents(emit_mine)
+        self._end_holds = live.holds.listen(HoldEvents(emit_mine))
         self._ended = Event()
         self._thread = Thread(target=self._run, name="webhook events", daemon=True)
         self._thread.start()

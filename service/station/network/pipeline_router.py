@@ -200,6 +200,10 @@ class PipelineRouter:
             self._known_station(station)
             self._assigned[device_id] = station
 
+    def is_far(self, device_id: str) -> bool:
+        """Whether a device is of a station, as far as is known. Never waits."""
+        return device_id in self._assigned or self._station_of(device_id) is not None
+
     def reaches(self, station: str | None) -> bool:
         """Whether a station answers now; None: this server itself."""
         known = self._stations.get(station) if station is not None else None

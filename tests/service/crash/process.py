@@ -15,16 +15,23 @@ START_S = 120.0
 class ServiceProcess:
     """``lumiline serve`` over one data directory, at one port, as often as it is started."""
 
-    def __init__(self, folder: Path, database_url: str | None = None) -> None:
+    def __init__(
+        self, folder: Path, database_url: str | None = None, data_dir: Path | None = None,
+        module: str = "service.cli", **settings: object,
+    ) -> None:  # fmt: skip
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = int(probe.getsockname()[1])
         self.folder = folder
+        self._module = module
+        self.data_dir = folder / "data" if data_dir is None else data_dir
         self.url = f"http://127.0.0.1:{self.port}"
         self._environment = {k: v for k, v in os.environ.items() if not k.startswith("LUMILINE_")}
         self._environment["LUMILINE_COMPUTE_DEVICE"] = "cpu"
         if database_url is not None:
             self._environment["LUMILINE_DATABASE_URL"] = database_url
+        for name, value in settings.items():
+            self._environment[f"LUMILINE_{name.upper()}"] = str(value)
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
@@ -43,8 +50,8 @@ class ServiceProcess:
         self.folder.mkdir(parents=True, exist_ok=True)
         with (self.folder / "service.log").open("ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "service.cli", "serve",
-                 "--port", str(self.port), "--data-dir", str(self.folder / "data")],
+                [sys.executable, "-m", self._module, "serve",
+                 "--port", str(self.port), "--data-dir", str(self.data_dir)],
                 stdout=log, stderr=subprocess.STDOUT, env=self._environment,
             )  # fmt: skip
         end = time.monotonic() + START_S

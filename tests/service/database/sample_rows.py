@@ -20,7 +20,7 @@ from sqlalchemy import (
     select,
 )
 
-from service.database.models import Base
+from service.database.models import TRANSIENT, Base
 
 _REFERRED = {
     "device_id": "devices",
@@ -76,8 +76,12 @@ def _value(table: Table, name: str, number: int, there: dict[str, Any]) -> Any:
 
 
 def content(connection: Connection) -> Rows:
-    """Return all rows, as the models read them."""
-    return {table.name: _rows(connection, table) for table in Base.metadata.sorted_tables}
+    """Return all rows that outlive the servers, as the models read them."""
+    return {
+        table.name: _rows(connection, table)
+        for table in Base.metadata.sorted_tables
+        if TRANSIENT not in table.info
+    }
 
 
 def reflected(connection: Connection) -> Rows:

@@ -1540,6 +1540,22 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/stations": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["list-stations"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/backups": {
         parameters: {
             query?: never;
@@ -2394,6 +2410,7 @@ export interface components {
         Device: {
             id: string;
             title: string;
+            station: string | null;
             source: components["schemas"]["SimulatedSource"] | components["schemas"]["ProfileSource"] | components["schemas"]["ReplaySource"] | components["schemas"]["SerialSource"] | components["schemas"]["Tcd1304Source"] | components["schemas"]["GenicamSource"] | components["schemas"]["FusionSource"] | components["schemas"]["ExternalSource"];
             sensors: components["schemas"]["Sensor"][];
             autostart: boolean;
@@ -2408,6 +2425,7 @@ export interface components {
         };
         DeviceChange: {
             title?: string;
+            station?: string | null;
             source?: components["schemas"]["SimulatedSource"] | components["schemas"]["ProfileSource"] | components["schemas"]["ReplaySource"] | components["schemas"]["SerialSource"] | components["schemas"]["Tcd1304Source"] | components["schemas"]["GenicamSource"] | components["schemas"]["FusionSource"] | components["schemas"]["ExternalSource"];
             autostart?: boolean;
             tracking?: components["schemas"]["Tracking"];
@@ -3508,6 +3526,7 @@ export interface components {
             id: string;
             title: string;
             source: components["schemas"]["SimulatedSource"] | components["schemas"]["ProfileSource"] | components["schemas"]["ReplaySource"] | components["schemas"]["SerialSource"] | components["schemas"]["Tcd1304Source"] | components["schemas"]["GenicamSource"] | components["schemas"]["FusionSource"] | components["schemas"]["ExternalSource"];
+            station?: string | null;
             /** @default false */
             autostart: boolean;
             tracking?: components["schemas"]["Tracking"];
@@ -3993,6 +4012,10 @@ export interface components {
         };
         Page_Setting_: {
             items: components["schemas"]["Setting"][];
+            next_cursor: string | null;
+        };
+        Page_Station_: {
+            items: components["schemas"]["Station"][];
             next_cursor: string | null;
         };
         Page_StreamClient_: {
@@ -5446,6 +5469,20 @@ export interface components {
             unit: string;
             shift_px: number;
             values: number[];
+        };
+        Station: {
+            name: string | null;
+            /** @enum {string} */
+            state: "running" | "limited" | "starting" | "lost";
+            reason: string | null;
+            since: string | null;
+            host: string | null;
+            devices: number;
+            restarts: number;
+            messages_missed: number;
+            memory_bytes: number;
+            cpu_s: number;
+            round_trip_ms: number | null;
         };
         StationaryMarker: {
             name: string;
@@ -10578,6 +10615,36 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Page_Setting_"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "list-stations": {
+        parameters: {
+            query?: {
+                limit?: number;
+                cursor?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_Station_"];
                 };
             };
             default: {

@@ -14,6 +14,9 @@ from service.pipeline.transform_names import NAME_BYTES, TO, TRACKER, TransformN
 from service.protocols.openigtlink.host import WireTool
 from service.protocols.openigtlink.message import CommandRefused
 
+_TO_OF_ITS_OWN: Final = re.compile(r"to[^a-z]")
+"""How a reference begins whose frame looks like a "To" and a frame: "To-1", not "Tool"."""
+
 
 @dataclass(frozen=True)
 class ToolNames:
@@ -52,6 +55,11 @@ def _wrong(tool: WireTool, tool_ids: set[str]) -> str | None:
             return f'"{frame}" cannot be the name of a frame: it has "{TO}" in it, or is not ASCII'
     if tool.id == tool.reference or tool.id == TRACKER:
         return f'"{tool.id}" cannot be given relative to itself, nor be called like the tracker'
+    if tool.reference is not None and _TO_OF_ITS_OWN.match(tool.reference):
+        return (
+            f'in "{wire_name(tool.id, tool.reference).full}" each "{TO}" may be the one between '
+            f'the frames: give the reference "{tool.reference}" another id'
+        )
     if tool.reference is not None and tool.reference not in tool_ids:
         return f'its reference "{tool.reference}" is no tool of the same device'
     return None

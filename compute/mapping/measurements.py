@@ -25,7 +25,7 @@ MAX_CELLS: Final = 200_000
 """Largest number of cells of a grid."""
 MAX_ALONG: Final = 256
 """Largest number of cells along an axis."""
-MARGIN_SPACINGS: Final = 2.0
+MARGIN_SPACINGS: Final = 1.0
 """Distance to which the grid reaches beyond the measurements, in distances between neighbours. So
 far the field's extrapolation and its variance were found to be right; the blocks by which the
 penalty is selected are one distance wide."""

@@ -259,6 +259,8 @@ class _Run:
             marker=None,
             lines=lines,
             flags=flags,
+            # Their shortest delays are not known either: the worst camera's.
+            host_sigma_ns=max(stream.timestamps.uncertainty_ns for stream in self.streams),
         )
 
     def _check_widths(self) -> None:

@@ -30,6 +30,11 @@ class ScanTimestamps:
         """Number of resets of the camera's clock."""
         return self._clock.restarts
 
+    @property
+    def uncertainty_ns(self) -> float:
+        """Standard deviation of host times, beyond the shortest delay [ns]; inf at first."""
+        return self._clock.uncertainty_ns
+
     def buffer(self, camera_ns: int, arrival_ns: int) -> None:
         """Add a buffer: its time on the camera's clock and its monotonic arrival time [ns]."""
         stamp = self._clock.stamp(camera_ns, arrival_ns)

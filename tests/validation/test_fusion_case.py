@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from validation.all_cases import ALL_CASES
-from validation.fusion.case import compare
+from validation.fusion.case import CASE, compare
 
 SEED = (
     int(np.random.default_rng().integers(2**31))
@@ -17,6 +17,7 @@ SEED = (
 
 def test_the_case_is_there() -> None:
     assert "fusion" in ALL_CASES
+    assert CASE.options == ("seed", "trials")
 
 
 @pytest.mark.slow

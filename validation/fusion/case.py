@@ -286,14 +286,14 @@ def _grown(
 
 
 def compute_tables(
-    runs: int = RUNS, seconds: float = SECONDS, seed: int = SEED
+    trials: int = RUNS, seconds: float = SECONDS, seed: int = SEED
 ) -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     """Return the tables of points and poses, and what they show."""
     kinds = [(speed, sigma) for speed in SPEEDS_MM_S for sigma in CLOCKS_S]
     compared = []
     for done, (speed, sigma) in enumerate(kinds):
         report_progress(done / len(kinds), f"{speed:g} mm/s, clock {1e6 * sigma:g} us")
-        compared.append((speed, sigma, compare(speed, sigma, runs, seconds, seed)))
+        compared.append((speed, sigma, compare(speed, sigma, trials, seconds, seed)))
     headings = (
         "mm/s",
         "clock us",

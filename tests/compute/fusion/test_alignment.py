@@ -75,10 +75,12 @@ def test_markers_that_cross_keep_their_rates() -> None:
 
 def test_two_peaks_that_claim_one_have_it_neither() -> None:
     """Two markers that were one peak before and after: what they did between is not known."""
-    position = np.array([[[500.0, np.nan]], [[499.9, 500.1]], [[500.0, np.nan]]])
-    found = align((-1e-3, 0.0, 1e-3), position, variances(position))
-    np.testing.assert_allclose(found.position_px[0], [499.9, 500.1])
-    np.testing.assert_array_equal(found.rate_px_s, 0.0)
+    position = np.array([[[500.0, np.nan]], [[502.9, 503.1]], [[506.0, np.nan]]])
+    at_once = align((-1e-3, 0.0, 1e-3), position, variances(position))
+    np.testing.assert_allclose(at_once.position_px[0], [502.9, 503.1])
+    np.testing.assert_array_equal(at_once.rate_px_s, 0.0)
+    later = align((-1.4e-3, -4e-4, 6e-4), position, variances(position))
+    assert np.isnan(later.position_px).all()
 
 
 @pytest.mark.parametrize(("missing", "other"), [(0, 2), (2, 0)])

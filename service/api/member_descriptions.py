@@ -50,6 +50,7 @@ MEMBERS: Final[dict[str, str]] = {
     "detection_sigma": "Smallest height of a peak, in standard deviations of the noise.",
     "detector": "The detector's type, pixels and noise.",
     "device_id": "The device's id.",
+    "DeviceChange.station": "The station that it is connected to; null: this server itself.",
     "DeviceStateDocument.bad_pixels": "Pixels that its frames have shown to be bad; masked.",
     "DeviceStateDocument.frames_dropped_compute": "Frames that the compute thread had no time for.",
     "DeviceStateDocument.frames_lost": "Exposures missing in the device's sequence numbers.",

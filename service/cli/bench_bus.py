@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import shutil
 import socket
 import subprocess
@@ -29,6 +30,8 @@ STATION: Final = "bench"
 DEVICE: Final = "sim"
 FRAMES: Final = 100
 """Different ones, which repeat."""
+MAX_PROCESSES: Final = 8
+"""In which the subscribers are; half of the cores at most."""
 _READY_S: Final = 60.0
 
 
@@ -81,26 +84,51 @@ def _running_nats(program: str, folder: Path) -> Iterator[str]:
 
 def _round(url: str, frames: list[bytes], stalled: int, seconds: float) -> Figures:
     """Publish for some seconds, and return what subscribers had."""
+    import numpy as np
+
     from service.station.network.subjects import BATCH, subject
 
     parts = urlsplit(url)
-    words = (parts.hostname, parts.port, subject(STATION, BATCH, DEVICE), SUBSCRIBERS, stalled)
-    clients = subprocess.Popen(  # noqa: S603 - our own module
-        [sys.executable, "-m", "benchmarks.bus_clients", *map(str, words), str(seconds)],
-        stdout=subprocess.PIPE,
-        text=True,
+    address = (str(parts.hostname), str(parts.port), subject(STATION, BATCH, DEVICE))
+    count = max(1, min(MAX_PROCESSES, (os.cpu_count() or 1) // 2))
+    shares = [SUBSCRIBERS // count + (index < SUBSCRIBERS % count) for index in range(count)]
+    clients = [
+        subprocess.Popen(  # noqa: S603 - our own module
+            [
+                *(sys.executable, "-m", "benchmarks.bus_clients", *address, str(share)),
+                *(str(0 if index else stalled), str(seconds)),
+            ],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for index, share in enumerate(shares)
+    ]
+    for one in clients:
+        if one.stdout is None or one.stdout.readline().strip() != "ready":
+            raise RuntimeError("the subscribers failed; see above")
+    published, dropped = asyncio.run(
+        _publish(f"nats://{parts.hostname}:{parts.port}", frames, seconds)
     )
-    assert clients.stdout is not None
-    if clients.stdout.readline().strip() != "ready":
-        raise RuntimeError("the subscribers failed; see above")
-    dropped = asyncio.run(_publish(f"nats://{parts.hostname}:{parts.port}", frames, seconds))
-    received: Figures = json.loads(clients.stdout.read())
-    clients.wait()
-    return {**received, "dropped_by_station": dropped}
+    found: list[Figures] = [json.loads(one.communicate()[0]) for one in clients]
+    latencies_ms = 1e3 * np.concatenate([one["latencies_s"] for one in found])
+    read = sum(one["messages"] for one in found)
+    return {
+        "subscribers": SUBSCRIBERS,
+        "stalled": stalled,
+        "published": published,
+        "read": read,
+        "missing": published * SUBSCRIBERS - read,
+        "cut": sum(one["cut"] for one in found),
+        "dropped_by_station": dropped,
+        "latency_ms": {
+            name: float(np.percentile(latencies_ms, share)) if len(latencies_ms) else None
+            for name, share in (("p50", 50.0), ("p99", 99.0), ("p99.9", 99.9), ("max", 100.0))
+        },
+    }
 
 
-async def _publish(url: str, frames: list[bytes], seconds: float) -> int:
-    """Be the station: publish frames as its host does, until just before subscribers end."""
+async def _publish(url: str, frames: list[bytes], seconds: float) -> tuple[int, int]:
+    """Be the station; return how many messages there were, and how many of them it dropped."""
     from service.station.network.connection import BusConnection, BusOptions
     from service.station.network.outbox import Outbox
 
@@ -113,14 +141,17 @@ async def _publish(url: str, frames: list[bytes], seconds: float) -> int:
             raise RuntimeError(connection.reason)
     outbox = Outbox(STATION, "bench", connection, DELAY_S)
     begin, sent = time.monotonic(), 0
-    while (passed := time.monotonic() - begin) < seconds - 1.0:
+    while (passed := time.monotonic() - begin) < seconds:
         while sent < passed * RATE_HZ:
             outbox.collect(("batch", DEVICE), frames[sent % len(frames)], 1)
             sent += 1
         await asyncio.sleep(0.001)
+    outbox.flush_all()
+    while outbox.waiting and time.monotonic() - begin < seconds + _READY_S / 2.0:
+        await asyncio.sleep(0.01)
     await outbox.close()
     await connection.close()
-    return outbox.dropped
+    return outbox.positions[f"batch.{DEVICE}"] + 1, outbox.dropped
 
 
 def _frame_messages() -> list[bytes]:
@@ -166,13 +197,13 @@ def _show(figures: Figures) -> None:
         latency = one["latency_ms"]
         rows.append(
             [
-                one["peer"], one["subscribers"], one["stalled"], one["messages"], one["missed"],
+                one["peer"], one["subscribers"], one["stalled"], one["read"], one["missing"],
                 one["cut"], one["dropped_by_station"],
                 *(None if value is None else f"{value:.2f}" for value in latency.values()),
             ]
         )  # fmt: skip
     titles = (
-        "peer", "readers", "stalled", "messages", "missing", "cut", "dropped", "p50 ms", "p99 ms",
+        "peer", "readers", "stalled", "read", "missing", "cut", "dropped", "p50 ms", "p99 ms",
         "p99.9 ms", "max ms",
     )  # fmt: skip
     title = f"{TITLE}; {figures['frame_bytes']} bytes a frame"

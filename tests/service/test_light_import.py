@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-HEAVY = {"warp", "matplotlib", "h5py"}
+HEAVY = {"warp", "matplotlib", "h5py", "nats", "nkeys"}
 
 
 def loaded_by(code: str) -> set[str]:

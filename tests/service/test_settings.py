@@ -45,6 +45,29 @@ def test_argument_before_environment_before_file(monkeypatch: pytest.MonkeyPatch
     assert (settings.port, settings.host, settings.log_level) == (3, "environment", "debug")
 
 
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"station": "none"}, "needs a bus_url"),
+        ({"bus_url": "http://broker:4222"}, "nats://broker:4222"),
+        ({"bus_url": "nats://one:4222,two"}, "nats://broker:4222"),
+        ({"bus_ca": "ca.pem"}, "need a bus_url"),
+        (
+            {"bus_url": "nats://one", "bus_nkey_seed": "a", "bus_token_file": "b"},
+            "one of bus_nkey_seed",
+        ),
+        ({"station_name": "Bar 1"}, "station_name"),
+    ],
+)
+def test_settings_of_the_bus_go_together(wrong: dict[str, str], words: str):
+    with pytest.raises(ValidationError, match=words):
+        Settings(**wrong)
+
+
+def test_bus_has_one_broker_or_several():
+    assert Settings(bus_url="nats://a:secret@one:4222, tls://two", station="none").bus_url
+
+
 def test_the_file_may_be_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     (tmp_path / "other.toml").write_text('database_url = "postgresql+psycopg://there/db"\n')
     monkeypatch.setenv("LUMILINE_CONFIG", str(tmp_path / "other.toml"))

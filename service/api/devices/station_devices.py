@@ -46,7 +46,7 @@ class StationDevices:
     @property
     def digests(self) -> dict[str, str]:
         """What each device uses and tracks, as a digest: another where that has changed."""
-        return {name: "".join(one)[:24] for name, one in tuple(self._applied.items())}
+        return {name: "-".join(one) for name, one in tuple(self._applied.items())}
 
     def start(self, device_id: str) -> None:
         """Start a device as the database says, again if it is running; raises LumilineError."""
@@ -108,7 +108,7 @@ def digest(value: Any) -> str:
     """Return a digest of a configuration: the same for equal content, read at any time."""
     found = hashlib.sha256()
     _add(found, value)
-    return found.hexdigest()[:24]
+    return found.hexdigest()[:16]
 
 
 def _add(found: Any, value: Any) -> None:

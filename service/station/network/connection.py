@@ -83,6 +83,10 @@ class _SecureClient(Client):
         writer = getattr(self._transport, "_io_writer", None)
         if writer is not None:
             writer.transport.abort()
+        for task in (self._reading_task, self._flusher_task, self._ping_interval_task):
+            if task is not None:
+                task.add_done_callback(_retrieve)
+                task.cancel()
 
 
 @dataclass(eq=False)
@@ -282,6 +286,12 @@ class BusConnection:
             for one in self._subscriptions:
                 await self._subscribe(client, one)
             await client.flush(2)
+
+
+def _retrieve(task: asyncio.Task[Any]) -> None:
+    """Take how a task of a lost connection has ended: it is known already."""
+    if not task.cancelled():
+        task.exception()
 
 
 def _text_of(file: Path | None) -> str | None:

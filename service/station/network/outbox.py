@@ -110,6 +110,11 @@ class Outbox:
             self.flush(words)
 
     @property
+    def waiting(self) -> int:
+        """Messages that wait for the connection to take them."""
+        return len(self._queue)
+
+    @property
     def positions(self) -> Positions:
         """Numbers of the newest messages, by the words of their subjects."""
         return {".".join(words): number - 1 for words, number in self._numbers.items()}

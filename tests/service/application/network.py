@@ -135,6 +135,8 @@ class DatabaseProxy:
             self._listener = socket.create_server((network.address(network.names[0]), 5432))
         host = network.address(network.names[0])
         self.url = target.set(host=host, port=5432).render_as_string(hide_password=False)
+        self.refuses = False
+        """Whether new connections are ended at once."""
         self._threads = [threading.Thread(target=self._accept)]
         self._open: list[socket.socket] = []
         self._threads[0].start()
@@ -145,16 +147,30 @@ class DatabaseProxy:
                 near, _ = self._listener.accept()
             except OSError:
                 return
+            if self.refuses:
+                near.close()
+                continue
             far = socket.create_connection(self._target)
             self._open += [near, far]
             self._threads.append(threading.Thread(target=_pass_on, args=(near, far)))
             self._threads[-1].start()
 
-    def close(self) -> None:
-        """End it."""
-        for one in (self._listener, *self._open):
+    def cut(self) -> None:
+        """Let nobody reach it, as if the server had ended."""
+        self.refuses = True
+        for one in self._open:
             with suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
+
+    def join(self) -> None:
+        """Let all reach it again."""
+        self.refuses = False
+
+    def close(self) -> None:
+        """End it."""
+        self.cut()
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
         for thread in tuple(self._threads):
             thread.join()
         self._listener.close()

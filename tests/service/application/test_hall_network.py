@@ -206,6 +206,37 @@ def test_server_that_is_cut_off_holds_and_the_other_goes_on(hall: Hall) -> None:
     assert cut.running("bar-1")
 
 
+def test_database_that_is_away_stops_no_stream_and_no_stop(hall: Hall) -> None:
+    gateway = hall.gateways["server-1"]
+    with gateway.stream("bar-1") as messages:
+        first = messages.until(lambda one: one["type"] == "frame")[-1]["sequence"]
+
+        def act() -> None:
+            hall.proxy.cut()
+            wait_until(
+                lambda: (gateway.station("bar-2") or {}).get("state") == "limited",
+                "that the station says it",
+            )
+            answer = gateway.request("POST", "/devices/bar-2/start")
+            assert answer.status_code == 503, answer.text
+            assert gateway.request("POST", "/devices/bar-2/stop").status_code == 200
+
+        observe(hall, "the database", act, lambda: restart(hall, gateway))
+        taken = messages.until(
+            lambda one: one["type"] == "frame" and one["sequence"] >= first + 200 * CUT_S
+        )
+        frames = [one["sequence"] for one in taken if one["type"] == "frame"]
+        assert frames == list(range(first + 1, first + 1 + len(frames)))
+
+
+def restart(hall: Hall, gateway: GatewayServer) -> None:
+    """Let the database be there again, and start what was stopped meanwhile."""
+    hall.proxy.join()
+    wait_until(
+        lambda: gateway.request("POST", "/devices/bar-2/start").status_code == 200, "its start"
+    )
+
+
 def test_what_was_acknowledged_is_there_after_each_process_was_killed(hall: Hall) -> None:
     for number, name in enumerate((*BARS, *hall.gateways), start=1):
         gateway = hall.gateways["server-2" if name == "server-1" else "server-1"]

@@ -151,8 +151,13 @@ def test_frames_of_a_station_come_to_all_gateways_in_order_and_whole(hall: Hall)
         numbers = [one["sequence"] for one in frames]
         assert numbers == list(range(first + 1, first + 1 + len(numbers)))
         assert all(one["points"] for one in frames)
-        assert frames[-1]["tools"][0]["status"] == "OK"
-        assert not frames[-1]["holds"][0]["held"]
+
+        def good(one: dict[str, Any]) -> bool:
+            found = one["type"] == "frame" and one["tools"][0]["status"] == "OK"
+            return found and not one["holds"][0]["held"]
+
+        with gateway.stream("sim", "tools,holds") as messages:
+            messages.until(good)
 
 
 def test_start_and_stop_have_happened_when_they_are_answered(hall: Hall) -> None:

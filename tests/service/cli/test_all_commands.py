@@ -16,7 +16,11 @@ from typer.testing import CliRunner
 
 from service.cli import LazyCommand, app
 
-NO_RESULT: Final = {"serve": "runs until it is ended", "openapi": "its document is JSON"}
+NO_RESULT: Final = {
+    "serve": "runs until it is ended",
+    "station": "runs until it is ended",
+    "openapi": "its document is JSON",
+}
 """Commands that print no result, or nothing but JSON."""
 AT_ONCE: Final = {
     "beam-holds acknowledge": "one request",
@@ -36,6 +40,7 @@ AT_ONCE: Final = {
     "radiometric-calibration list": "one request",
     "radiometric-calibration upload": "one request",
     "serve": "has a log",
+    "station": "has a log",
     "simulate-serial": "prints its address and serves",
     "tools create": "a request a tool, each with a line",
     "tools list": "one request",

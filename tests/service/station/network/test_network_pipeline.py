@@ -231,7 +231,7 @@ def test_station_that_ends_is_lost_at_once_and_found_by_no_word_of_before() -> N
 
 
 def enabled(due_here_s: float, revision: int = 1) -> bytes:
-    """The beam may go on until a time of this machine's clock, as the station says it by its own."""
+    """The beam may go on until a time of this machine's clock, by the station's own."""
     token = BeamEnableToken(time.monotonic)
     token.due_s = due_here_s + AHEAD_S
     now = BeamHoldState(

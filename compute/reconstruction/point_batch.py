@@ -204,9 +204,10 @@ class PointBatch(Batch):
 
     def residual_sigma(self) -> Array:
         """Root of chi2 per degree of freedom, shape (N,); NaN without redundancy."""
-        dof = self.used.sum(axis=1) - 3
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(dof > 0, np.sqrt(self.chi2 / np.maximum(dof, 1)), np.nan)
+        dof = self.used.sum(axis=1) - 3.0
+        dof[dof < 0.5] = np.nan
+        root: Array = np.sqrt(self.chi2 / dof)
+        return root
 
     def estimates(self, names: tuple[str, ...]) -> list[PointEstimate]:
         """Return the points as values; ``names`` are the sensors' names in order."""

@@ -12,6 +12,7 @@ BENCHMARKS: Final = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
     "latency": "a serial device to one client, quiet and loaded, in turn with a bare relay",
     "load": "4 sensors x 2048 pixels at full rate, a recorder, 50 clients, some of them stalled",
+    "rate": "the highest rate of a serial device that one client gets without loss",
     "openigtlink": "ten tools at 200 Hz to pyigtl, while another client stalls and leaves",
     "navigation": "simulated optics to an OpenIGTLink client: latency, jitter and tip errors",
     "hold": "a patient who moves, to the signal that holds the beam: latency, missed, false",
@@ -32,7 +33,7 @@ BENCHMARKS: Final = {
 }
 _OF_A_SERVICE: Final = (
     *("live", "latency", "load", "openigtlink", "navigation", "hold", "hostile-bodies"),
-    *("stalled-clients", "bus", "dashboard", "decoder", "clock"),
+    *("stalled-clients", "bus", "rate", "dashboard", "decoder", "clock"),
 )
 LOAD_RATE_HZ: Final = 5000.0
 _MODULES: Final = {
@@ -42,7 +43,7 @@ _MODULES: Final = {
 _ON_A_DEVICE: Final = ("signal", "reconstruct", "rays")
 _TIMED: Final = (
     *("live", "latency", "load", "openigtlink", "navigation", "hold", "stalled-clients"),
-    *("bus", "dashboard"),
+    *("bus", "rate", "dashboard"),
 )
 
 

@@ -20,6 +20,7 @@ from service.cli.bench_service import (
     device_counts,
     losses,
     run_benchmark,
+    run_client,
     service_of_simulated_device,
     wait_for_frames,
 )
@@ -92,13 +93,7 @@ def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
 
 def _received(kind: str, url: str, seconds: float = BLOCK_S) -> np.ndarray[Any, Any]:
     """Receive in a process of its own; return latencies but for the clocks' difference [ns]."""
-    command = [sys.executable, "-m", "benchmarks.latency", kind, url, "--seconds", str(seconds)]
-    done = subprocess.run(  # noqa: S603 - our own module
-        command, stdout=subprocess.PIPE, check=False
-    )
-    if done.returncode != 0:
-        raise RuntimeError(f"the client of the {kind} failed; see above")
-    times = json.loads(done.stdout)
+    times = run_client("benchmarks.latency", kind, url, "--seconds", str(seconds))
     return np.asarray(np.array(times["received_ns"]) - np.array(times["exposure_ns"]))
 
 

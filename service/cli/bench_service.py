@@ -1,5 +1,9 @@
 """Common parts of the benchmarks that run a service."""
 
+import json
+import signal
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -27,7 +31,7 @@ def run_benchmark(
     measure: Callable[[Path], Figures], show: Callable[[Figures], None], *, as_json: bool
 ) -> None:
     """Measure in a folder that is removed afterwards, and print the figures."""
-    with tempfile.TemporaryDirectory() as folder:
+    with _ended_by_sigterm(), tempfile.TemporaryDirectory() as folder:
         try:
             figures = measure(Path(folder))
         except RuntimeError as error:
@@ -36,6 +40,16 @@ def run_benchmark(
         print_json(figures)
     else:
         show(figures)
+
+
+@contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end a benchmark as Ctrl+C does: with the processes that it has started."""
+    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager
@@ -66,6 +80,20 @@ def service_of_simulated_device(
         client.stop_device(DEVICE)
         client.request("PATCH", f"/api/v1/devices/{DEVICE}", body={"source": source})
         yield service, client
+
+
+def run_client(module: str, *arguments: str) -> Any:
+    """Run a client in a process of its own, and return what it prints as JSON.
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    done = subprocess.run(  # noqa: S603 - our own module
+        [sys.executable, "-m", module, *arguments], stdout=subprocess.PIPE, check=False
+    )
+    if done.returncode != 0:
+        raise RuntimeError(f"the client {module} failed; see above")
+    return json.loads(done.stdout)
 
 
 def device_counts(client: Client) -> dict[str, Any]:

@@ -67,6 +67,10 @@ three times its square: 0.3 % at this."""
 MIN_LOG_WEIGHT: Final = -7.0
 """Widths of less weight than this one's exponential, beside the best one's, end a side."""
 
+MAX_LOG_LIKELIHOOD_RISE: Final = 1.0
+"""Widths whose likelihood is above the best one's by more than this one's exponential end a side:
+they belong to another of its maxima."""
+
 MAX_WIDTH_NODES: Final = 6
 """Largest number of widths to either side of the best one."""
 
@@ -131,7 +135,8 @@ class FitSettings:
     - *Unknown width.* Where the deviation of the width's logarithm is more than
       LOG_WIDTH_SIGMA_THRESHOLD, or it is held at a limit, the covariance is averaged over widths:
       from the best one to either side, by that deviation or STEP_LOG_WIDTH, whichever is less, as
-      far as there are any in WIDTH_LIMITS_PX, they weigh more than MIN_LOG_WEIGHT, and to
+      far as there are any in WIDTH_LIMITS_PX, all lights are positive, they weigh more than
+      MIN_LOG_WEIGHT, their likelihood is not above the best one's (MAX_LOG_LIKELIHOOD_RISE), and to
       MAX_WIDTH_NODES. Each has its own best parameters and covariance, from the one before by one
       scoring step. Its weight is the likelihood with the prior, by the trapezoidal rule from its
       slopes, times the (geometric mean of the) positions' deviations at that width: so all shifts

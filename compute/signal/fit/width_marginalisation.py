@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from compute.signal.fit.fisher_scoring import Solution
 from compute.signal.fit.fit_settings import (
     LOG_WIDTH_SIGMA_THRESHOLD,
+    MAX_LOG_LIKELIHOOD_RISE,
     MAX_WIDTH_NODES,
     MIN_LOG_WEIGHT,
     MIN_PIVOT,
@@ -58,7 +59,7 @@ class _Nodes:
         score: slope of the likelihood's logarithm along these, with the prior, shape (N,).
         information: of the width, the others unknown, shape (N,).
         log_sigma: logarithm of the positions' deviations, their mean, shape (N,).
-        regular: there is such a node, shape (N,).
+        regular: there is such a node, and all of its lights are positive, shape (N,).
     """
 
     parameters: Array
@@ -95,7 +96,7 @@ def _nodes(model: WindowModel, windows: Windows, parameters: Array) -> _Nodes:
         score[:, -1] - (information[:, -1, :-1] * step).sum(axis=1),
         diagonal[:, -1] ** 2,
         -np.log(diagonal[:, model.position]).mean(axis=1),
-        regular & windows.contain(best[:, model.position]),
+        regular & windows.contain(best[:, model.position]) & (best[:, model.light] > 0.0).all(1),
     )
 
 
@@ -143,7 +144,9 @@ def _average_covariance(
             weight = rise + node.log_sigma - middle.log_sigma
             log_width = node.parameters[:, -1]
             within = (log_width >= _LOW) & (log_width <= _HIGH)
+            # NaN and infinity, too, end a side.
             going = going & within & node.regular & (weight > MIN_LOG_WEIGHT)
+            going &= rise < MAX_LOG_LIKELIHOOD_RISE
             if not going.any():
                 break
             part = np.exp(np.where(going, weight, -np.inf))

@@ -238,7 +238,9 @@ class Hub:
 
     def publish_batch(self, batch: FrameBatch) -> None:
         """Put a batch of frames into the device's log; callable from any thread."""
-        self._append_batch(batch.device_id, StreamBatch(batch))
+        kept = StreamBatch(batch)
+        kept.compact_peaks()
+        self._append_batch(batch.device_id, kept)
 
     def publish_message(self, message: BatchSource) -> None:
         """Put a batch into the device's log that is read when a client wants it."""

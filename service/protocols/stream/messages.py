@@ -6,7 +6,7 @@ from functools import lru_cache
 from itertools import pairwise
 from math import isfinite
 from operator import attrgetter
-from typing import Any, Final, Literal, NamedTuple, Protocol, cast, get_args
+from typing import Any, Final, Literal, NamedTuple, Protocol, Self, cast, get_args
 
 import msgpack
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from compute.flags import flag_names
 from compute.reconstruction.point_batch import PointFlag
-from compute.signal.peaks import PeakFlag
+from compute.signal.peaks import PeakBatch, PeakFlag
 from hardware.driver import DeviceDescription
 from hardware.line_frame import FrameFlag
 from service.pipeline.detection_stage import peak_method
@@ -99,17 +99,44 @@ def enabling_tokens(
     return tuple({now.release for after in holds for now in after if now.release})
 
 
+class _SentPeaks(NamedTuple):
+    """Peaks without the room that a PeakBatch has for more.
+
+    Args:
+        start: index of the first of the P peaks of each of N scans, and P at the end, shape
+            (N + 1,).
+        values: position [px], sigma [px], amplitude [counts], width [px] and reduced chi-square
+            of each peak, shape (5, P).
+        flags: PeakFlag values, shape (P,).
+    """
+
+    start: NDArray[np.intp]
+    values: NDArray[np.float64]
+    flags: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, peaks: PeakBatch) -> Self:
+        """Return the peaks of N scans."""
+        start = np.zeros(len(peaks.count) + 1, dtype=np.intp)
+        np.cumsum(peaks.count, out=start[1:])
+        there = np.arange(peaks.position_px.shape[1]) < peaks.count[:, None]
+        values = (
+            peaks.position_px,
+            peaks.sigma_px,
+            peaks.amplitude,
+            peaks.width_px,
+            peaks.reduced_chi2,
+        )
+        columns = np.stack([column[there] for column in values]).astype(np.float64)
+        return cls(start, columns, peaks.flags[there])
+
+
 class StreamBatch:
     """Frames of one device as the streams send them: a FrameBatch without pixels.
 
     Attributes:
         frames: headers of F frames.
         count: F.
-        peak_start: index of the first of the P peaks of each scan, and P at the end, shape
-            (F x S + 1,).
-        peak_values: position [px], sigma [px], amplitude [counts], width [px] and reduced
-            chi-square of each peak, shape (5, P).
-        peak_flags: PeakFlag values, shape (P,).
         releases: tokens of all holds whose beam is enabled, each once.
     """
 
@@ -123,20 +150,13 @@ class StreamBatch:
         self._motion, self._holds = batch.motion, batch.holds
         self.count = len(batch.frames)
         self.releases = enabling_tokens(batch.holds)
-        # Copied: the batch's arrays have room for more peaks than there are.
-        peaks = batch.peaks
-        self.peak_start = np.zeros(len(peaks.count) + 1, dtype=np.intp)
-        np.cumsum(peaks.count, out=self.peak_start[1:])
-        there = np.arange(peaks.position_px.shape[1]) < peaks.count[:, None]
-        values = (
-            peaks.position_px,
-            peaks.sigma_px,
-            peaks.amplitude,
-            peaks.width_px,
-            peaks.reduced_chi2,
-        )
-        self.peak_values = np.stack([column[there] for column in values]).astype(np.float64)
-        self.peak_flags = peaks.flags[there]
+        self._peaks: PeakBatch | _SentPeaks = batch.peaks
+
+    def compact_peaks(self) -> "_SentPeaks":
+        """Return the peaks, and keep them alone: the batch's arrays have room for more."""
+        if not isinstance(self._peaks, _SentPeaks):
+            self._peaks = _SentPeaks.of(self._peaks)
+        return self._peaks
 
     def messages(
         self, content: frozenset[Content], first: int = 0, last: int | None = None
@@ -169,7 +189,7 @@ class StreamBatch:
                 "calibration_id": self.calibration_id,
                 "table_id": self.table_id,
                 "radiometric_id": self.radiometric_id,
-                "flags": flag_names(frame.flags),
+                "flags": _frame_flag_names(frame.flags),
             }
             for frame in self.frames[first:last]
         ]
@@ -188,7 +208,9 @@ class StreamBatch:
     def _point_rows(self, first: int, count: int) -> Iterator[Rows]:
         """Yield the points: members of PointEstimate and the marker."""
         starts, part = _parts(self._owner, first, count)
-        frame_points = self._points.part(part.start, part.stop)
+        frame_points = self._points
+        if part.stop - part.start != len(frame_points):
+            frame_points = frame_points.rows(part)
         names = self._sensor_names
         # Straight from the arrays: objects in between cost too much at thousands of frames.
         rows = [
@@ -216,7 +238,8 @@ class StreamBatch:
     def _peak_rows(self, first: int, count: int) -> Iterator[Rows]:
         """Yield the peaks: members of Peak."""
         names = self._sensor_names
-        scans = self.peak_start[first * len(names) : (first + count) * len(names) + 1]
+        peaks = self.compact_peaks()
+        scans = peaks.start[first * len(names) : (first + count) * len(names) + 1]
         part = slice(scans[0], scans[-1]) if len(scans) else slice(0)
         sensors = np.repeat(np.arange(len(scans) - 1) % len(names), np.diff(scans))
         rows = [
@@ -230,7 +253,7 @@ class StreamBatch:
                 "flags": _flag_names(PeakFlag, flags),
             }
             for sensor, position, sigma, amplitude, width, chi2, flags in _zip_lists(
-                sensors, *self.peak_values[:, part], self.peak_flags[part]
+                sensors, *peaks.values[:, part], peaks.flags[part]
             )
         ]
         return _split(rows, scans[:: len(names)].tolist())
@@ -256,6 +279,8 @@ class StreamBatch:
 
 def _parts(owner: NDArray[np.intp], first: int, count: int) -> tuple[list[int], slice]:
     """Return where the rows of each of ``count`` frames begin and end, and all of them."""
+    if not first and count == 1 and not owner[-1:].any():
+        return [0, len(owner)], slice(0, len(owner))  # of a single frame, at no cost
     starts: list[int] = owner.searchsorted(range(first, first + count + 1)).tolist()
     return starts, slice(starts[0], starts[-1])
 
@@ -276,6 +301,9 @@ def _used(names: tuple[str, ...], used: tuple[bool, ...]) -> tuple[str, ...]:
 @lru_cache(maxsize=1024)
 def _flag_names(kind: type[PointFlag] | type[PeakFlag], flags: int) -> tuple[str, ...]:
     return flag_names(kind(flags))
+
+
+_frame_flag_names = lru_cache(maxsize=64)(flag_names)
 
 
 def hold_members(now: BeamHoldState) -> dict[str, Any]:

@@ -17,7 +17,8 @@ struct Node {
     double lead[max_parameters] = {}, score = 0.0, information = 0.0, log_sigma = 0.0;
 };
 
-// Take one scoring step to the best of a node's model at its width; false: there is no such.
+// Take one scoring step to the best of a node's model at its width; false: there is no such, or a
+// light of it is not positive.
 LUMILINE_FN bool score_node(const FitScan& scan, Node& node, const Window& in) {
     Model& m = node.m;
     const int size = parameters_of(scan, m.peaks), width = size - 1;
@@ -44,7 +45,9 @@ LUMILINE_FN bool score_node(const FitScan& scan, Node& node, const Window& in) {
     }
     node.log_sigma = log_of(deviations) / m.peaks;
     find_covariance(scan, m, root, false);
-    return apply_step(scan, m, in, step, 1.0);
+    bool lit = apply_step(scan, m, in, step, 1.0);
+    for (int k = 0; k < m.peaks; ++k) lit = lit && m.light[k] > 0.0;
+    return lit;
 }
 
 LUMILINE_FN bool follow_width(const FitScan& scan, Node& node, const Window& in, double apart) {
@@ -77,7 +80,7 @@ LUMILINE_FN void marginalise_width(const FitScan& scan, Model& m, const Window& 
             if (node.m.log_w < scan.plan.min_log || node.m.log_w > scan.plan.max_log) break;
             rise += 0.5 * (before + node.score) * side * step;
             const double weight = rise + node.log_sigma - middle.log_sigma;
-            if (!(weight > min_log_weight)) break;
+            if (!(weight > min_log_weight && rise < max_log_likelihood_rise)) break;
             const double part = exp_of(weight);
             total += part;
             for (int a = 0; a < peaks; ++a) {

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -206,6 +206,8 @@ any_line = st.one_of(
 )
 
 
+# Where the width of a saturated peak is followed into another maximum of its likelihood.
+@example(varied_lines(8, 1001, np.random.default_rng(637834479)), 12575, False)
 @given(any_line, st.integers(0, 2**32), st.booleans())
 def test_any_line_gives_defined_peaks(lines, seed, with_shape):
     rng = np.random.default_rng(seed)

@@ -2371,7 +2371,7 @@ class Station(ResponseModel):
     name: str | None
     state: str
     reason: str | None
-    since: datetime | None
+    changed_at: datetime | None
     host: str | None
     devices: int
     restarts: int

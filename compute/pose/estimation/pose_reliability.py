@@ -1,6 +1,7 @@
 """Reliability of a pose: detectable errors of a reading, and the effect of undetected ones."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,10 @@ from compute.pose.settings import POSE_PARAMETERS
 from compute.reliability import check_readings, noncentrality
 
 Array = NDArray[np.float64]
+
+PIVOT_FLOOR: Final = 1e-10
+"""Smallest pivot of the normal equations, as a share of their diagonal; below it the readings do
+not determine the pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +69,10 @@ def pose_reliability(
     rows = equations.rows(rotation[None], centroid_mm[None])[0]
     covariance = equations.covariance(rotation, centroid_mm)
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    try:
-        checks = check_readings(rows[:, :6], rows[:, 6], whitening)
-    except np.linalg.LinAlgError:
+    design = whitening @ rows[:, :6]
+    if not _determine_pose(design.T @ design):
         return _unchecked(marker, sensor)
+    checks = check_readings(rows[:, :6], rows[:, 6], whitening)
     size = checks.detectable_px(noncentrality(len(rows) - POSE_PARAMETERS, significance))
     in_sigma = size / np.sqrt(covariance.diagonal())
     worst = int(in_sigma.argmax())
@@ -82,6 +87,15 @@ def pose_reliability(
         float(tip.max()),
         float(rotation_mm.max()),
     )
+
+
+def _determine_pose(normal: Array) -> bool:
+    """Return whether normal equations (6, 6) have one solution."""
+    try:
+        pivots = np.linalg.cholesky(normal).diagonal() ** 2
+    except np.linalg.LinAlgError:
+        return False
+    return bool((pivots > PIVOT_FLOOR * normal.diagonal()).all())
 
 
 def _unchecked(marker: NDArray[np.intp], sensor: NDArray[np.intp]) -> PoseReliability:

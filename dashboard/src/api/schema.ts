@@ -5475,7 +5475,7 @@ export interface components {
             /** @enum {string} */
             state: "running" | "limited" | "starting" | "lost";
             reason: string | null;
-            since: string | null;
+            changed_at: string | null;
             host: string | null;
             devices: number;
             restarts: number;

@@ -25,7 +25,7 @@ class Station(ResponseModel):
         "again; or lost: it does not answer, and its beams are held."
     )
     reason: str | None = Field(description="Why it is not simply running.")
-    since: Moment | None = Field(description="Since when it is in this state.")
+    changed_at: Moment | None = Field(description="Since when it is in this state.")
     host: str | None = Field(description="Its machine; null: this one, or not known yet.")
     devices: int = Field(description="Devices that it has told of.")
     restarts: int = Field(description="How often its process was lost and started again.")
@@ -56,7 +56,7 @@ def _document(state: StationState) -> Station:
         name=state.name,
         state=state.state,
         reason=state.reason,
-        since=datetime.fromtimestamp(since * 1e-9, UTC) if since else None,
+        changed_at=datetime.fromtimestamp(since * 1e-9, UTC) if since else None,
         host=state.host,
         devices=state.devices,
         restarts=state.restarts,

@@ -44,7 +44,7 @@ NO_REFERENCE: Final = {
 STATES: Final = {
     "CalibrationSummary", "CalibrationDocument", "DeviceStateDocument", "LinkState", "Run",
     "RecordingDocument", "RecordingDetail", "ApiKey", "CreatedApiKey", "WebhookState",
-    "WaveCapture", "RecordedTrack",
+    "WaveCapture", "RecordedTrack", "Station",
 }  # fmt: skip
 """What lives: schemas that have a ``state``."""
 JUDGED: Final = {

@@ -3,6 +3,7 @@
 from typing import Final
 
 from compute.native.records import Record, constants, header
+from compute.pose.estimation.pose_reliability import PIVOT_FLOOR
 from compute.pose.filtering.association import MAX_EXCLUDED_NIS, NEAR_MISS_PX
 from compute.pose.filtering.imm import IMM_STATES
 from compute.pose.filtering.second_order import CUBATURE_RADIUS, CURVATURE_SIGMA_FRACTION
@@ -121,6 +122,7 @@ HEADER: Final = header(
             "pose_size": POSE,
             "pose_parameters": POSE_PARAMETERS,
             "redundancy_floor": REDUNDANCY_FLOOR,
+            "pivot_floor": PIVOT_FLOOR,
             "head_size": HEAD,
             "status_updated": UPDATED,
             "status_misfit": MISFIT,

@@ -10,13 +10,14 @@
 
 namespace lumiline::pose {
 
-// Replaces a symmetric matrix (n, n) by its Cholesky root. False: it has none.
-LUMILINE_FN bool cholesky_root(int n, double* matrix) {
+// Replaces a symmetric matrix (n, n) by its Cholesky root. False: a pivot is not above this share
+// of the diagonal.
+LUMILINE_FN bool cholesky_root(int n, double* matrix, double pivot_floor) {
     for (int i = 0; i < n; ++i)
         for (int j = 0; j <= i; ++j) {
             double rest = matrix[i * n + j];
             for (int k = 0; k < j; ++k) rest -= matrix[i * n + k] * matrix[j * n + k];
-            if (i == j && !(rest > 0.0)) return false;
+            if (i == j && !(rest > pivot_floor * matrix[i * n + i])) return false;
             matrix[i * n + j] = i == j ? sqrt(rest) : rest / matrix[j * n + j];
         }
     return true;
@@ -100,13 +101,13 @@ struct PoseReliability {
     // False: a matrix has no Cholesky root.
     LUMILINE_FN bool solve() {
         linearise();
-        if (!cholesky_root(N, root)) return false;
+        if (!cholesky_root(N, root, 0.0)) return false;
         whiten();
         double normal[Q * Q], arm[3];
         zero(Q * Q, normal);
         for (int i = 0; i < N; ++i)
             for (int q = 0; q < Q; ++q) add(Q, design[i * Q + q], design + i * Q, normal + q * Q);
-        if (!cholesky_root(Q, normal)) return false;
+        if (!cholesky_root(Q, normal, pivot_floor)) return false;
         for (int i = 0; i < 3; ++i) {
             const double *r = record.pose + 3 * i, *tip = step.tip;
             arm[i] = r[0] * tip[0] + r[1] * tip[1] + r[2] * tip[2];

@@ -71,7 +71,7 @@ function Stations() {
           station.name,
           <Badge kind={kindOf(station)}>{station.state}</Badge>,
           station.reason ?? "",
-          time(station.since),
+          time(station.changed_at),
           station.host ?? text.missing,
           station.devices,
           significant(station.round_trip_ms, 2),

@@ -5,7 +5,7 @@ const station = (name: string | null, state: Station["state"]): Station => ({
   name,
   state,
   reason: null,
-  since: null,
+  changed_at: null,
   host: null,
   devices: 1,
   restarts: 0,

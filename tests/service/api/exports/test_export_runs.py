@@ -80,7 +80,7 @@ def test_it_makes_what_the_command_line_makes(
     assert about | {"created_at": None} == {
         "id": "walk", "format": "csv", "file_name": "walk.csv", "media_type": "text/csv",
         "size_bytes": len(expected), "created_at": None, "run_id": "r", "device_id": "sim",
-        "recording_id": "ward/walk.h5",
+        "recording_id": "ward/walk.h5", "gateway": None,
     }  # fmt: skip
     assert sqlite_client.get(f"{API}/exports").json()["items"] == [about]
     # The run may go, and what it made stays until it is deleted.

@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import msgpack
 import pytest
 
 from compute.errors import InvalidParameter
@@ -30,7 +29,7 @@ from service.pipeline.interface import Pipeline
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.tracking_config import TrackingConfig
 from service.problems.errors import DeviceNotRunning, NotReady
-from service.protocols.stream.hub import Hub, StreamRequest
+from service.protocols.stream.hub import Hub
 from service.protocols.stream.messages import CONTENTS
 from service.station import station_process
 from service.station.bus_messages import BatchMessage
@@ -669,7 +668,7 @@ class HangingDriver(SimulatedDriver):
 _GATEWAY = """
 import asyncio, signal, sys, threading, time
 from service.pipeline.detection_stage import built_in_profile
-from service.protocols.stream.hub import Hub, StreamRequest
+from service.protocols.stream.hub import Hub
 from service.station.bus_messages import BatchMessage
 from service.station.remote_pipeline import RemotePipeline
 from service.station.station_process import StationProcess
@@ -729,37 +728,3 @@ def test_station_ends_with_its_gateway(how: signal.Signals, device: str) -> None
         gateway.kill()
         gateway.wait(WAIT_S)
         gateway.stdout.close()
-
-
-def test_clients_have_a_batch_before_taps_do(
-    make_pipeline: MakePipeline, event_loop_thread: asyncio.AbstractEventLoop
-) -> None:
-    """What is recorded or summed up can wait: at a tap's turn the client has the same frames."""
-    hub = Hub()
-    pipeline = make_pipeline(hub)
-    received: list[int] = [-1]
-    behind: list[int] = []
-
-    async def receive() -> None:
-        client = hub.subscribe(StreamRequest("sim", frozenset({"points"}), "msgpack"))
-        while True:
-            message = msgpack.unpackb(await client.next())
-            if message["type"] == "frame":
-                received.append(message["sequence"])
-
-    class Comparing(KeepingTap):
-        def offer(self, batch: FrameBatch) -> None:
-            super().offer(batch)
-            behind.append(batch.frames[-1].sequence - received[-1])
-
-    receiving = asyncio.run_coroutine_threadsafe(receive(), event_loop_thread)
-    try:
-        pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
-        device, tap = pipeline.session("sim"), Comparing()
-        wait_for(lambda: len(received) > 1)
-        device.attach(tap)
-        wait_for(lambda: len(behind) > 20)
-        device.detach(tap)
-    finally:
-        receiving.cancel()
-    assert max(behind) <= 0

@@ -12,7 +12,7 @@ from tests.service.crash.process import ServiceProcess
 from tests.service.crash.test_random_commands import children
 from tests.service.gateways.conftest import Pair, ask, code, done, wait_for
 
-pytestmark = [pytest.mark.postgres, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.postgres, pytest.mark.slow, pytest.mark.timeout(900)]
 
 HOLD = {"device_id": "sim", "title": "Chest", "limits": {"shift_mm": 5},
         "watch": {"kind": "marker", "marker": 0}}  # fmt: skip

@@ -148,6 +148,7 @@ def test_frames_of_both(hall: Hall) -> None:
     assert left.taps == right.taps == []
 
 
+@pytest.mark.slow
 def test_a_bar_goes_and_comes_again(hall: Hall) -> None:
     left, right = hall.start("left"), hall.start("right")
     hall.driver.open()

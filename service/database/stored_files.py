@@ -1,9 +1,10 @@
 """StoredFiles: what lies in the data directories of all gateways, listed in the database."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any, Literal
 
 from sqlalchemy import delete, select
@@ -63,6 +64,8 @@ class StoredFiles:
         self._published: dict[str, int] | None = None
         self._ended: set[str] = set()
         """Files whose end could not be listed yet."""
+        self._listing = Lock()
+        """Held while files are listed: what begins or ends meanwhile is listed behind that."""
 
     def others(self) -> dict[str, StoredFile]:
         """Return what other gateways have or write; nothing while the database does not answer."""
@@ -86,7 +89,7 @@ class StoredFiles:
         """
         if not self._gateway.shared:
             return None
-        with self._database.write() as session:
+        with self._listing, self._database.write() as session:
             taken = self._others(session).get(name)
             if taken is None:
                 self._put(session, name, document, changed_ns, self._gateway.id)
@@ -97,7 +100,7 @@ class StoredFiles:
         if not self._gateway.shared:
             return
         try:
-            with self._database.write() as session:
+            with self._listing, self._database.write() as session:
                 self._put(session, name, document, changed_ns, None)
         except NotReady:
             self._ended.add(name)  # logged there
@@ -112,22 +115,30 @@ class StoredFiles:
             StoredFileRow.name == name,
             StoredFileRow.gateway_id == self._gateway.id,
         )
-        with suppress(NotReady), self._database.write() as session:
+        with suppress(NotReady), self._listing, self._database.write() as session:
             session.execute(row)
 
     def publish(
-        self, files: Mapping[str, tuple[int, dict[str, Any]]], written: frozenset[str]
+        self,
+        files: Mapping[str, tuple[int, dict[str, Any]]],
+        written_now: Callable[[], frozenset[str]],
     ) -> None:
         """List what this gateway has, as it is now.
 
         Args:
             files: by name when they were changed, and what clients read of them.
-            written: those that this gateway writes now; of a shared directory nothing else is
-                listed unless this gateway tidies it.
+            written_now: returns those that this gateway writes; of a shared directory nothing else
+                is listed unless this gateway tidies it.
         """
         if not self._gateway.others:
             self._published = None
             return
+        with self._listing:
+            self._publish(files, written_now())
+
+    def _publish(
+        self, files: Mapping[str, tuple[int, dict[str, Any]]], written: frozenset[str]
+    ) -> None:
         tidies = self._gateway.holds(self._gateway.files_lease)
         ended = frozenset(self._ended)
         listed = written | ended

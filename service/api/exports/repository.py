@@ -64,7 +64,7 @@ class ExportRepository:
                 one.id: (round(one.created_at.timestamp() * 1e9), one.model_dump(mode="json"))
                 for one in self._own()
             }
-            self._stored.publish(files, frozenset())
+            self._stored.publish(files, frozenset)
 
     def document(self, export_id: str) -> ExportFile:
         """Return an export's document, also of another gateway's; raises UnknownExport."""

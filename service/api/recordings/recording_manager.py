@@ -142,16 +142,18 @@ class RecordingManager:
         """List the recordings of this server for other gateways."""
         if self._stored is None:
             return
-        with self._lock:
-            written = frozenset(
-                name for name, one in self._active.items() if one.status.ended is None
-            ) | frozenset(self._starting)
         found = {}
         for name, changed_ns in self.library.files():
             with suppress(UnknownRecording, OSError):  # gone meanwhile
                 document = self.library.detail(self._document(name))
                 found[name] = changed_ns, document.model_dump(mode="json")
-        self._stored.publish(found, written)
+        self._stored.publish(found, self._written_now)
+
+    def _written_now(self) -> frozenset[str]:
+        with self._lock:
+            return frozenset(
+                name for name, one in self._active.items() if one.status.ended is None
+            ) | frozenset(self._starting)
 
     def _other(self, name: str) -> StoredFile | None:
         return None if self._stored is None else self._stored.other(name)

@@ -1,7 +1,9 @@
 """Gateways of one database: who lives, who has a lease, and how changes are followed."""
 
+from _thread import start_new_thread
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
@@ -198,7 +200,7 @@ def test_files_are_listed_while_a_gateway_lives_that_has_them(
     beat(a, b)
     document: dict[str, Any] = {"state": "complete"}
     of_a, of_b = files(shared_database, a), files(shared_database, b)
-    of_a.publish({"x.h5": (1, document)}, frozenset())
+    of_a.publish({"x.h5": (1, document)}, frozenset)
     assert of_a.others() == {}
     found = of_b.others()["x.h5"]
     assert (found.gateway, found.here, found.document) == ("a", False, document)
@@ -207,12 +209,37 @@ def test_files_are_listed_while_a_gateway_lives_that_has_them(
     assert of_b.begin("y.h5", document, 2) is None
     assert of_a.other("y.h5") is not None
     of_b.end("y.h5", document, 3)
-    of_a.publish({}, frozenset())
+    of_a.publish({}, frozenset)
     assert of_b.others() == {}
-    of_a.publish({"x.h5": (1, document)}, frozenset())
+    of_a.publish({"x.h5": (1, document)}, frozenset)
     with shared_database.engine.begin() as connection:
         connection.exec_driver_sql(f"DELETE FROM gateways WHERE id = '{a.id}'")
     assert of_b.others() == {}
+
+
+def test_file_that_is_begun_while_others_are_listed_stays_listed(
+    make: Make, shared_database: Database
+) -> None:
+    a, b = make("a"), make("b")
+    beat(a, b)
+    document: dict[str, Any] = {"state": "recording"}
+    of_a, of_b = files(shared_database, a), files(shared_database, b)
+    begun = Event()
+
+    def begin() -> None:
+        of_a.begin("x.h5", document, 1)
+        begun.set()
+
+    def written_now() -> frozenset[str]:
+        start_new_thread(begin, ())  # gateways start no threads here
+        begun.wait(0.3)  # it waits; were it not to wait, it would be through by then
+        return frozenset()
+
+    of_a.publish({}, written_now)
+    assert begun.wait(60.0)
+    found = of_b.other("x.h5")
+    assert found is not None
+    assert found.document == document
 
 
 def test_file_in_a_shared_directory_is_of_who_writes_it(
@@ -228,7 +255,7 @@ def test_file_in_a_shared_directory_is_of_who_writes_it(
     written = of_a.other("x.h5")
     assert written is not None
     assert written.here
-    of_a.publish({"x.h5": (1, {"state": "incomplete"})}, frozenset())  # A tidies, and leaves it
+    of_a.publish({"x.h5": (1, {"state": "incomplete"})}, frozenset)  # A tidies, and leaves it
     written = of_a.other("x.h5")
     assert written is not None
     assert written.document == document

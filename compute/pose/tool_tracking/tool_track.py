@@ -160,7 +160,12 @@ def pack_mask(mask: NDArray[np.bool_]) -> int:
 
 
 def unpack_mask(packed: int, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return the mask of a shape that ``pack_mask`` packed."""
+    """Return the mask that ``pack_mask`` packed.
+
+    Args:
+        packed: its bits.
+        shape: of the mask.
+    """
     count = shape[0] * shape[1]
     words = np.frombuffer(packed.to_bytes((count + 7) // 8, "little"), dtype=np.uint8)
     return np.unpackbits(words, count=count, bitorder="little").astype(np.bool_).reshape(shape)
@@ -184,7 +189,12 @@ class UsedReadings:
 
     @classmethod
     def of(cls, updates: Collection[Update], sensors: int) -> "UsedReadings":
-        """Return those of the last updates, by a number of sensors."""
+        """Return those of the last updates.
+
+        Args:
+            updates: normalised squared error, number of readings and which they were, of each.
+            sensors: number of sensors.
+        """
         which, count, square = 0, 0, 0.0
         for nis, readings, sensors_of in updates:
             which |= sensors_of

@@ -198,7 +198,10 @@ class GatewayServer(Process):
 
         url = f"{self.url.replace('http', 'ws')}/api/v1/stream"
         query = f"?device_id={device_id}&content={content}&encoding=json&mode=lossless"
-        with connect(url + query, open_timeout=30.0, additional_headers=self._headers) as websocket:
+        # Read also while the test does something else: who reads nothing is cut off.
+        with connect(
+            url + query, open_timeout=30.0, additional_headers=self._headers, max_queue=None
+        ) as websocket:
             yield Messages(websocket)
 
 

@@ -325,7 +325,13 @@ class StrobedStepKernel:
         return self.result_size + (0 if lit is None else 2 * self.state_size)
 
     def predicted_pose(self, time_ns: int, block: Array, reported_pose: Array) -> PackedPose:
-        """Return the combined state of a tool of which no marker was lit."""
+        """Return the combined state of a tool of which no marker was lit.
+
+        Args:
+            time_ns: time of the exposure [ns].
+            block: what the kernel wrote of this tool.
+            reported_pose: what it wrote of the pose for reports.
+        """
         return PackedPose.within(
             time_ns,
             block[HEAD + 2 * self.sensors :],
@@ -336,7 +342,14 @@ class StrobedStepKernel:
         )
 
     def updated(self, time_ns: int, block: Array, at: int, reported_pose: Array) -> Step:
-        """Return the step to an exposure that lit a marker."""
+        """Return the step to an exposure that lit a marker.
+
+        Args:
+            time_ns: time of the exposure [ns].
+            block: what the kernel wrote of this tool.
+            at: where the combined state begins in the predicted states.
+            reported_pose: what the kernel wrote of the pose for reports.
+        """
         size, sensors, common_errors = self.state_size, self.sensors, self.common_errors
         after = 2 * size
         outcome, count, nis = block[after : after + HEAD].tolist()

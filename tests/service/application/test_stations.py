@@ -92,9 +92,9 @@ def hall(tmp_path_factory: pytest.TempPathFactory, new_postgres: str | None) -> 
     made = Hall(tmp_path_factory.mktemp("hall"), next(copies))
     try:
         made.station.start()
+        # One after the other: the first has the server's own devices, and can give one away.
         for one in (made.gateway, made.other):
             one.begin()
-        for one in (made.gateway, made.other):
             wait_until(one.answers, "the gateway's start")
         wait_until(lambda: standing(made.gateway) == "running", "the station")
         change = {"station": "bar-1", "source": SOURCE, "autostart": True}

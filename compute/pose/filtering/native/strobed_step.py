@@ -347,7 +347,7 @@ class StrobedStepKernel:
         Args:
             time_ns: time of the exposure [ns].
             block: what the kernel wrote of this tool.
-            at: where the combined state begins in the predicted states.
+            at: address of ``block``.
             reported_pose: what the kernel wrote of the pose for reports.
         """
         size, sensors, common_errors = self.state_size, self.sensors, self.common_errors

@@ -65,7 +65,7 @@ class Trial:
         beyond: points beyond the table.
         stated_beyond: those of them with a covariance.
         lost: share of the points up to 100 mm outside that have no position.
-        misplaced: points more than FAR_MM outside that the table vouches for, of all these.
+        misplaced: points more than FAR_MM outside that the table supports, of all these.
     """
 
     kind: Kind
@@ -230,7 +230,7 @@ def _findings(trials: Sequence[Trial], refused: int) -> tuple[str, ...]:
         (
             f"{100.0 * max(one.lost for one in trials):.2g} % of the points up to 100 mm outside "
             f"have no position in the worst rig. {far[0]} of {far[1]} points more than "
-            f"{FAR_MM:g} mm outside are found at a place that the table vouches for."
+            f"{FAR_MM:g} mm outside are found at a place that the table supports."
         ),
     )
 
